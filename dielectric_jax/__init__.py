@@ -1,0 +1,65 @@
+"""Bifurcation diagrams of a dielectric-elastomer membrane on an air chamber, exact to nine digits, in JAX."""
+
+import importlib
+import typing
+
+__version__ = "0.1.0"
+
+_ROOMS = {
+    "results": ("Code", "SceneError"),
+    "records": ("Branch", "Event", "Ramp", "SpecialPoint", "State"),
+    "materials": (
+        "ArrudaBoyce",
+        "ConstantBreakdown",
+        "CustomBreakdown",
+        "CustomMaterial",
+        "Gent",
+        "NeoHookean",
+        "VHBBreakdown",
+        "stresses",
+    ),
+    "membrane": ("Membrane", "Profile"),
+    "loading": ("Chamber", "ConstantPressure", "ConstantVoltage"),
+    "scene": ("PARAMETERS", "Scene", "Window", "describe"),
+    "shooting": ("shoot",),
+    "chart": ("explicit_map",),
+    "continuation": ("Steps", "Trace", "trace"),
+    "diagram": ("Diagram", "equilibrium", "pressure_volume", "voltage_volume"),
+    "cache": ("enable_compilation_cache",),
+}
+_HOME = {name: room for room, names in _ROOMS.items() for name in names}
+
+__all__ = [*_HOME]
+
+if typing.TYPE_CHECKING:
+    from .cache import enable_compilation_cache
+    from .chart import explicit_map
+    from .continuation import Steps, Trace, trace
+    from .diagram import Diagram, equilibrium, pressure_volume, voltage_volume
+    from .loading import Chamber, ConstantPressure, ConstantVoltage
+    from .materials import (
+        ArrudaBoyce,
+        ConstantBreakdown,
+        CustomBreakdown,
+        CustomMaterial,
+        Gent,
+        NeoHookean,
+        VHBBreakdown,
+        stresses,
+    )
+    from .membrane import Membrane, Profile
+    from .records import Branch, Event, Ramp, SpecialPoint, State
+    from .results import Code, SceneError
+    from .scene import PARAMETERS, Scene, Window, describe
+    from .shooting import shoot
+
+
+def __getattr__(name: str):
+    # imported when first asked for, so that the command line answers bad input at once
+    if name in _HOME:
+        return getattr(importlib.import_module(f".{_HOME[name]}", __name__), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

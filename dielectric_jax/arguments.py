@@ -1,0 +1,241 @@
+"""The options of the command line: what they are called, what they allow, and one sentence for what they refuse."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+__all__ = ["CHAMBER_OPTIONS", "MATERIAL_CONSTANT", "PROGRAM", "BadInput", "option_names", "read_arguments"]
+
+PROGRAM = "dielectric-jax"
+_FIGURE_SUFFIXES = ("eps", "jpg", "jpeg", "pdf", "png", "svg")
+CHAMBER_OPTIONS = ("initial_volume", "initial_pressure", "atmospheric_pressure", "polytropic_exponent")
+
+#: the material's own constant, as option and as argument of its class
+MATERIAL_CONSTANT = {"gent": "stretch_limit", "neo-hookean": None, "arruda-boyce": "chain_links"}
+
+_DESCRIPTION = """Equilibria and bifurcation diagrams of a dielectric elastomer membrane on an air chamber.
+All quantities are dimensionless: lengths in A, pressures in μH/A, volumes in A³, voltages in H√(μ/ε)."""
+
+
+class BadInput(Exception):
+    """Input that is refused; the message is the sentence to print."""
+
+
+class _Parser(argparse.ArgumentParser):
+    """An argparse parser whose errors are `BadInput`, and that reads -1e-3 and -inf as numbers."""
+
+    def __init__(self, *args: Any, **kwargs: Any):
+        kwargs.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
+        super().__init__(*args, allow_abbrev=False, **kwargs)
+        self._negative_number_matcher = re.compile(r"^-(\d|\.\d|inf|nan)", re.IGNORECASE)
+
+    def error(self, message: str) -> NoReturn:
+        raise BadInput(_sentence_of(message, self.prog))
+
+
+def _sentence_of(message: str, prog: str) -> str:
+    """Argparse's message as one sentence that names the option, the value and what is allowed."""
+    found = re.match(r"argument (\S+): (.*)", message, re.DOTALL)
+    if found is None:
+        unknown = re.match(r"unrecognized arguments: (.*)", message)
+        if unknown:
+            return f"{unknown[1]!r} is not known here; `{prog} --help` lists what is allowed."
+        missing = re.match(r"the following arguments are required: (.*)", message)
+        if missing:
+            return f"{missing[1]} must be given; `{prog} --help` lists what is allowed."
+        missing = re.match(r"one of the arguments (.*) is required", message)
+        if missing:
+            return f"One of {', '.join(missing[1].split())} must be given, but none is."
+        return message[0].upper() + message[1:].rstrip(".") + "."
+    option, said = found.groups()
+    other = re.match(r"not allowed with argument (\S+)", said)
+    if other:
+        return f"{option} must not be given together with {other[1]}."
+    choice = re.match(r"invalid choice: (.*?) \(choose from (.*)\)", said)
+    if choice:
+        allowed = [c.strip().strip("'") for c in choice[2].split(",")]
+        return f"{option} must be {_one_of(allowed)}, but is {choice[1]}."
+    expected = re.match(r"expected (.*?) arguments?$", said)
+    if expected:
+        return f"{option} must be followed by {expected[1]} value{'' if 'one' in expected[1] else 's'}."
+    return f"{option} {said}"
+
+
+def _one_of(words: Sequence[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
+
+
+def _number(check: Callable[[float], bool], what: str) -> Callable[[str], float]:
+    """A reader of numbers that pass `check`; `what` says what is allowed."""
+
+    def read(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not (math.isfinite(value) and check(value)):
+            raise argparse.ArgumentTypeError(f"must be {what}, but is {text!r}.")
+        return value
+
+    return read
+
+
+_finite = _number(lambda v: True, "a finite number")
+_positive = _number(lambda v: v > 0, "a positive finite number")
+_not_negative = _number(lambda v: v >= 0, "zero or a positive finite number")
+_prestretch = _number(lambda v: v >= 1, "a finite number of at least 1")
+
+
+def _points(text: str) -> int:
+    if not (re.fullmatch(r"\d+", text) and 2 <= int(text) <= 1_000_000):
+        raise argparse.ArgumentTypeError(f"must be a whole number from 2 to 1000000, but is {text!r}.")
+    return int(text)
+
+
+def _breakdown(text: str) -> str | float:
+    if text == "vhb":
+        return text
+    return _number(lambda v: v > 0, "vhb or a positive field in units of √(μ/ε)")(text)
+
+
+def _parser() -> _Parser:
+    parser = _Parser(prog=PROGRAM, description=_DESCRIPTION)
+    parser.add_argument("--version", action="version", version=f"{PROGRAM} {_version()}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+
+    common = _Parser(add_help=False)
+    group = common.add_argument_group("membrane")
+    group.add_argument("--material", choices=list(MATERIAL_CONSTANT), default="gent", help="free energy (gent)")
+    group.add_argument("--stretch-limit", type=_positive, metavar="J", help="limit J of gent (270)")
+    group.add_argument("--chain-links", type=_positive, metavar="N", help="links of a chain of arruda-boyce (125)")
+    group.add_argument("--prestretch", type=_prestretch, default=1.0, metavar="L0", help="stretch of the rim (1)")
+    group.add_argument(
+        "--breakdown", type=_breakdown, default="vhb", metavar="vhb|FIELD", help="law of the breakdown field (vhb)"
+    )
+    group = common.add_argument_group("answer")
+    group.add_argument("--json", metavar="FILE|-", help="write JSON to a file, or to standard output with -")
+    group.add_argument("--figure", metavar="FILE", help=f"draw a figure ({', '.join(_FIGURE_SUFFIXES)})")
+    group.add_argument("--tolerance", type=_positive, default=1e-9, metavar="TOL", help="largest error (1e-9)")
+    group.add_argument("--points", type=_points, metavar="N", help="points of a branch (256)")
+    group.add_argument(
+        "--stretch-window", type=_positive, nargs=2, metavar=("A", "B"), help="window of the apex stretch"
+    )
+    group.add_argument(
+        "--load-window", type=_finite, nargs=2, metavar=("A", "B"), help="window of the load q/q_max (-1 1)"
+    )
+
+    one = commands.add_parser("equilibrium", parents=[common], help="single states", description=_DESCRIPTION)
+    one.add_argument("--voltage", type=_not_negative, default=0.0, metavar="PHI", help="voltage (0)")
+    given = one.add_mutually_exclusive_group(required=True)
+    given.add_argument("--pressure", type=_not_negative, metavar="P", help="prescribed pressure")
+    given.add_argument("--volume", type=_not_negative, metavar="V", help="prescribed volume")
+    given.add_argument("--apex-stretch", type=_positive, metavar="L", help="prescribed stretch of the apex")
+    one.add_argument("--all", action="store_true", help="every state in the window, not only that of smallest volume")
+
+    curve = commands.add_parser(
+        "pressure-volume", parents=[common], help="curves at fixed voltage", description=_DESCRIPTION
+    )
+    curve.add_argument(
+        "--voltage", type=_not_negative, nargs="+", action="extend", metavar="PHI", help="one or more voltages (0)"
+    )
+
+    scene = commands.add_parser(
+        "voltage-volume", parents=[common], help="the diagram of a loading", description=_DESCRIPTION
+    )
+    loading = scene.add_mutually_exclusive_group(required=True)
+    loading.add_argument("--pressure", type=_not_negative, metavar="P", help="constant pressure")
+    loading.add_argument("--chamber-volume", type=_positive, metavar="VC", help="volume of a closed chamber")
+    filling = scene.add_mutually_exclusive_group()
+    filling.add_argument(
+        "--initial-volume", type=_not_negative, metavar="V0", help="filling of the chamber, as a volume"
+    )
+    filling.add_argument("--initial-pressure", type=_not_negative, metavar="P0", help="… or as a pressure")
+    scene.add_argument("--atmospheric-pressure", type=_not_negative, metavar="PATM", help="pressure outside (50)")
+    scene.add_argument("--polytropic-exponent", type=_positive, metavar="N", help="1 is isothermal (1)")
+    scene.add_argument("--engine", choices=["continuation"], default="continuation", help="how it is computed")
+    return parser
+
+
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("dielectric-jax")
+    except PackageNotFoundError:
+        return "(not installed)"
+
+
+def _check(args: argparse.Namespace) -> None:
+    """Refuses what each option allows alone but not with the others."""
+    own = MATERIAL_CONSTANT[args.material]
+    for name in ("stretch_limit", "chain_links"):
+        if getattr(args, name) is not None and name != own:
+            owner = next(m for m, constant in MATERIAL_CONSTANT.items() if constant == name)
+            raise BadInput(
+                f"{_option(name)} must be given with --material {owner} only, but the material is {args.material}."
+            )
+    for name in ("stretch_window", "load_window"):
+        window = getattr(args, name)
+        if window is not None and not window[0] < window[1]:
+            raise BadInput(f"{_option(name)} must be two numbers A < B, but is {window[0]:g} {window[1]:g}.")
+    if args.command == "voltage-volume":
+        given = [name for name in CHAMBER_OPTIONS if getattr(args, name) is not None]
+        if args.pressure is not None and given:
+            raise BadInput(f"{_option(given[0])} must be given with --chamber-volume only, not with --pressure.")
+        if args.pressure is None and args.initial_volume is None and args.initial_pressure is None:
+            raise BadInput(
+                "--initial-volume or --initial-pressure must be given with --chamber-volume, but neither is."
+            )
+    if args.command == "equilibrium" and args.points is not None and args.figure is None:
+        raise BadInput("--points must be given with --figure only for equilibrium, because a state has no branch.")
+    if args.json is not None and args.json != "-":
+        _check_file("--json", args.json)
+    if args.figure is not None:
+        _check_file("--figure", args.figure)
+        if Path(args.figure).suffix[1:].lower() not in _FIGURE_SUFFIXES:
+            raise BadInput(
+                f"--figure must be a file name ending in {_one_of(_FIGURE_SUFFIXES)}, but is {args.figure!r}."
+            )
+
+
+def _check_file(option: str, name: str) -> None:
+    path = Path(name)
+    if not name or path.is_dir() or not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
+        raise BadInput(f"{option} must be a file in a folder that exists and can be written, but is {name!r}.")
+
+
+def _option(name: str) -> str:
+    return "--" + name.replace("_", "-")
+
+
+def option_names(message: str, args: argparse.Namespace) -> str:
+    """The library's sentence with its arguments' names replaced by the options they came from."""
+    aliases = {
+        "load_fraction": "--load-window",
+        "field": "--breakdown",
+        "constant_field": "--breakdown",
+        "volume": "--chamber-volume" if args.command == "voltage-volume" else "--volume",
+    }
+    if getattr(args, "apex_stretch", None) is None:
+        aliases["apex_stretch"] = "--stretch-window"
+
+    def option(found: re.Match[str]) -> str:
+        name = found[1]
+        if name in aliases:
+            return aliases[name]
+        return _option(name) if hasattr(args, name) else found[0]
+
+    return re.sub(r"`(\w+)`", option, " ".join(message.split()))
+
+
+def read_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
+    """The options of `argv` (the process's own when None), well formed; raises `BadInput` where they are not."""
+    args = _parser().parse_args(argv)
+    _check(args)
+    return args

@@ -1,0 +1,369 @@
+"""From a scene to its branches: scan, continuation from a seed on every contour, points made exact, special points.
+
+The scan says which branches exist; continuation follows each one independently of the scan's values; the two are then
+compared, and a contour that no branch covers is a new seed. Folds are not stepped over: the step is bounded by the turn of
+the tangent, the final points are refined until neighbours turn by less than `_MOST_TURN`, and between neighbours the
+Hermite interpolant of every event function is searched for a hidden pair of roots.
+"""
+
+import collections
+import dataclasses
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .chart import Scan, scan
+from .continuation import Steps, trace
+from .equilibria import SCALE, Points, polish
+from .loading import Contour
+from .materials import largest_load
+from .membrane import Membrane
+from .results import Code
+from .scene import SCANNED_LOAD
+from .shooting import shoot
+
+__all__ = ["Curve", "find_curves"]
+
+_LANES = 8
+_STEPS = Steps(first=0.05, largest=1.0, smallest=2e-4, most_turn=0.35, most_correction=0.2, tolerance=1e-5)
+_TRACE_STEPS = (18.0, 72.0)  # grids of the continuation: the usual one, and where an inner layer forms
+_MOST_TURN = 0.3
+
+
+@dataclasses.dataclass
+class Curve:
+    """A branch as exact points in order, with arclength `position` in scaled unknowns, and why it starts and ends."""
+
+    points: Points
+    position: np.ndarray
+    start: Code
+    end: Code
+    flags: tuple[str, ...] = ()
+
+
+@functools.partial(jax.jit, static_argnames="steps")
+def _trace_program(material, prestretch, contour, limits, seeds, directions, active, accuracy, steps):
+    def residual(u, args):
+        material, prestretch, contour, accuracy = args
+        rim = shoot(material, u[0], u[1], u[2], steps=accuracy)
+        return jnp.stack([rim.lag - (prestretch - u[0]), contour.residual(u[1], rim.volume, u[2])])
+
+    def margins(u, args):
+        fraction = u[2] / largest_load(args[0], u[0])
+        # where the grid of this accuracy ends: towards lock-up at a high load, and towards the cone
+        resolved = jnp.where(
+            args[3] >= _TRACE_STEPS[1], 1.0, jnp.maximum(jnp.minimum(0.93 - fraction, limits[4] - u[0]), 0.72 - fraction)
+        )
+        box = [u[0] - limits[0], limits[1] - u[0], fraction - limits[2], limits[3] - fraction, u[1] + 1e-3]
+        return jnp.stack([*box, resolved])
+
+    codes = (
+        Code.window_stretch,
+        Code.lock_up,
+        Code.window_load,
+        Code.window_load,
+        Code.apex_cone,
+        Code.beyond_tolerance,
+    )
+
+    def lane(seed, direction, active):
+        return trace(
+            residual,
+            seed,
+            direction,
+            (material, prestretch, contour, accuracy),
+            scale=jnp.asarray(SCALE),
+            margins=margins,
+            codes=codes,
+            steps=steps,
+            active=active,
+        )
+
+    return jax.vmap(lane)(seeds, directions, active)
+
+
+def _run_traces(membrane, contour, limits, seeds, directions, accuracy=_TRACE_STEPS[0]):
+    """Traces from many seeds, in groups of one compiled shape: a list of (points, tangents, code).
+
+    A lane that leaves the region its grid resolves goes on from there on the finer grid.
+    """
+    found = []
+    for i in range(0, len(seeds), _LANES):
+        part, heading = np.array(seeds[i : i + _LANES]), np.array(directions[i : i + _LANES])
+        pad = _LANES - len(part)
+        active = np.arange(_LANES) < len(part)
+        part, heading = (np.pad(v, ((0, pad), (0, 0)), mode="edge") for v in (part, heading))
+        done = _trace_program(
+            membrane.material, membrane.prestretch, contour, limits, part, heading, active, accuracy, _STEPS
+        )
+        points, tangents, count, code = (np.asarray(v) for v in done[:4])
+        for k in range(int(active.sum())):
+            found.append((points[k, : count[k]], tangents[k, : count[k]], Code(int(code[k]))))
+    if accuracy < _TRACE_STEPS[1]:
+        stuck = (Code.beyond_tolerance, Code.step_too_small, Code.apex_cone)
+        more = [k for k, lane in enumerate(found) if lane[2] in stuck and len(lane[0]) > 1]
+        alone = [k for k, lane in enumerate(found) if lane[2] in stuck and len(lane[0]) <= 1]
+        # go on from the last point inside; a lane that never began starts again at its seed
+        starts = [found[k][0][-2] for k in more] + [seeds[k] for k in alone]
+        ways = [found[k][1][-2] for k in more] + [directions[k] for k in alone]
+        if starts:
+            finer = _run_traces(membrane, contour, limits, starts, ways, _TRACE_STEPS[1])
+            for k, (points, tangents, code) in zip(more + alone, finer, strict=True):
+                if k in more and len(points) < 2:
+                    found[k] = (found[k][0][:-1], found[k][1][:-1], Code.apex_cone)
+                    continue
+                head = found[k][0][:-2] if k in more else found[k][0][:0]
+                head_t = found[k][1][:-2] if k in more else found[k][1][:0]
+                found[k] = np.concatenate([head, points]), np.concatenate([head_t, tangents]), code
+    return found
+
+
+_scans: collections.OrderedDict = collections.OrderedDict()
+
+
+def cached_scan(membrane: Membrane, stretches, loads) -> Scan:
+    """The scan of a membrane; the last sixteen are kept in memory."""
+    leaves, tree = jax.tree.flatten(membrane)
+    key = (tree, tuple(np.asarray(v).tobytes() for v in leaves), stretches, loads)
+    if key not in _scans:
+        _scans[key] = scan(membrane, stretches, loads)
+        while len(_scans) > 16:
+            _scans.popitem(last=False)
+    _scans.move_to_end(key)
+    return _scans[key]
+
+
+def scaled(u: np.ndarray) -> np.ndarray:
+    """Points (…, 3) in the units of the arclength."""
+    return u / SCALE
+
+
+def _distance_to_polyline(points: np.ndarray, line: np.ndarray) -> np.ndarray:
+    """Distance in scaled unknowns from each of (n, 3) points to a polyline (m, 3)."""
+    points, line = scaled(points), scaled(line)
+    a, d = line[:-1], np.diff(line, axis=0)
+    length2 = np.maximum((d * d).sum(axis=1), 1e-300)
+    best = np.full(len(points), np.inf)
+    for i in range(0, len(points), 256):
+        part = points[i : i + 256, None] - a[None]
+        along = np.clip((part * d).sum(axis=2) / length2, 0, 1)
+        best[i : i + 256] = np.sqrt(((part - along[..., None] * d) ** 2).sum(axis=2)).min(axis=1)
+    return best
+
+
+def hermite(x0, x1, t0, t1, length, share):
+    """Cubic Hermite interpolant at `share` in (0, 1) of intervals of `length`; arrays broadcast."""
+    s, c = share, 1 - share
+    return c * c * (1 + 2 * s) * x0 + s * c * c * length * t0 + s * s * (3 - 2 * s) * x1 - s * s * c * length * t1
+
+
+def _resample(line, tangents, count, code_start, code_end):
+    """`count` stations of equal arclength on the traced points: predictions (count, 3) and plane normals, scaled."""
+    gap = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    arc = np.concatenate([[0.0], np.cumsum(gap)])
+    s = np.linspace(0.0, arc[-1], count)
+    i = np.clip(np.searchsorted(arc, s, side="right") - 1, 0, len(gap) - 1)
+    share = ((s - arc[i]) / gap[i])[:, None]
+    at = hermite(line[i], line[i + 1], tangents[i], tangents[i + 1], gap[i][:, None], share)
+    normal = (1 - share) * tangents[i] + share * tangents[i + 1]
+    return at, normal / np.linalg.norm(normal, axis=1, keepdims=True)
+
+
+def _clip_to_window(line, tangents, inside, end):
+    """Moves the outermost point, which lies outside, back onto the boundary along the Hermite curve."""
+    if inside(line[end] * SCALE) >= 0:
+        return
+    inner = -2 if end == -1 else 1
+    low, high = 0.0, 1.0
+    gap = np.linalg.norm(line[end] - line[inner])
+    sign = 1.0 if end == -1 else -1.0
+    for _ in range(50):
+        middle = (low + high) / 2
+        at = hermite(line[inner], line[end], sign * tangents[inner], sign * tangents[end], gap, middle)
+        low, high = (middle, high) if inside(at * SCALE) >= 0 else (low, middle)
+    line[end] = hermite(line[inner], line[end], sign * tangents[inner], sign * tangents[end], gap, low)
+    tangents[end] = (1 - low) * tangents[inner] + low * tangents[end]
+    tangents[end] /= np.linalg.norm(tangents[end])
+
+
+def _exact_curve(membrane, contour, line, tangents, codes, count, tolerance, limits) -> Curve | None:
+    """The traced branch as exact points: stations, Newton, refinement where the tangent turns, honest ends."""
+    at, normal = _resample(line, tangents, count, *codes)
+    target = (normal * at).sum(axis=1)
+    points = polish(membrane, contour, (at * SCALE).T, normal / SCALE, target, tolerance=tolerance, reach=0.5)
+    points.tangent = points.tangent * np.where((points.tangent * normal).sum(axis=1) < 0, -1.0, 1.0)[:, None]
+    good = points.ok & (points.error <= tolerance)
+    if not good.any():
+        return None
+    codes = list(codes)
+    flags = []
+    # beyond the scanned loads a branch is followed only as far as its error estimate allows
+    keep = np.ones(len(points), bool)
+    for end, order in ((0, range(len(points))), (1, range(len(points) - 1, -1, -1))):
+        for i in order:
+            if good[i]:
+                break
+            keep[i] = False
+            codes[end] = Code.apex_cone if at[i, 2] > 0 else Code.not_converged
+    keep &= points.ok
+    if not good[keep].all():
+        flags.append("error_above_tolerance")
+    if not points.ok[np.flatnonzero(good)[0] : np.flatnonzero(good)[-1]].all():
+        flags.append("points_lost")
+    points = points.take(np.flatnonzero(keep))
+    for _ in range(4):
+        turn = (points.tangent[1:] * points.tangent[:-1]).sum(axis=1)
+        wide = np.flatnonzero(turn < np.cos(_MOST_TURN))
+        if not len(wide) or len(points) < 2 or len(points) > 4 * count:
+            break
+        points = _insert(membrane, contour, points, wide, tolerance)
+    gap = np.linalg.norm(np.diff(scaled(points.u.T), axis=0), axis=1)
+    return Curve(points, np.concatenate([[0.0], np.cumsum(gap)]), codes[0], codes[1], tuple(flags))
+
+
+def between(points: Points, i: np.ndarray, share: np.ndarray):
+    """Prediction (scaled), plane normal and target at `share` of the chords from points i to i + 1."""
+    x = scaled(points.u.T)
+    x0, x1 = x[i], x[i + 1]
+    gap = np.linalg.norm(x1 - x0, axis=1, keepdims=True)
+    normal = (x1 - x0) / gap
+    at = hermite(x0, x1, points.tangent[i], points.tangent[i + 1], gap, share[:, None])
+    return at, normal, (normal * x0).sum(axis=1) + share * gap[:, 0]
+
+
+def solve_between(membrane, contour, points, i, share, **options) -> Points:
+    """Exact points on the planes across the chords from points i to i + 1, oriented like the branch."""
+    at, normal, target = between(points, i, share)
+    found = polish(membrane, contour, (at * SCALE).T, normal / SCALE, target, reach=0.5, **options)
+    found.tangent = found.tangent * np.where((found.tangent * normal).sum(axis=1) < 0, -1.0, 1.0)[:, None]
+    return found
+
+
+def _insert(membrane, contour, points, wide, tolerance) -> Points:
+    """Points with the middles of the intervals `wide` added where Newton finds them."""
+    middle = solve_between(membrane, contour, points, wide, np.full(len(wide), 0.5), tolerance=tolerance)
+    place = np.concatenate([np.arange(len(points)), wide[middle.ok] + 0.5])
+    joined = Points.join([points, middle.take(np.flatnonzero(middle.ok))])
+    return joined.take(np.argsort(place, kind="stable"))
+
+
+def find_curves(membrane: Membrane, contour: Contour, limits, *, count: int, tolerance: float, progress=None):
+    """All branches of the contour in the window, and whether scan and continuation agree on the scanned part.
+
+    `limits` is `Scene.limits()`.
+    """
+    stretches, locks, loads = limits
+    chart = cached_scan(membrane, stretches, loads)
+    contours = chart.contours(contour)
+    box = np.array([*stretches, *loads])
+    box[0] = max(box[0], float(membrane.prestretch) + 1e-5 * (box[1] - box[0]))
+    limits = np.array([*box, 0.72 * membrane.lock_up_stretch()[0]])
+
+    def inside(u):
+        fraction = u[2] / float(_limit(membrane.material, u[0]))
+        return min(u[0] - box[0], box[1] - u[0], fraction - box[2], box[3] - fraction)
+
+    lines = []
+    pending = [c for c in contours if _long_enough(c)]
+    for _ in range(3):
+        seeds, headings = [], []
+        for vertices in pending:
+            seed, heading = _seed(vertices)
+            seeds += [seed, seed]
+            headings += [heading, -heading]
+        if not seeds:
+            break
+        traced = _run_traces(membrane, contour, limits, seeds, headings)
+        for k in range(0, len(traced), 2):
+            joined = _join(traced[k], traced[k + 1])
+            if joined is None:
+                continue
+            line, tangents, codes = joined
+            middle = line[len(line) // 2] * 1.0
+            if any(_distance_to_polyline(middle[None], other[0])[0] < 0.02 for other in lines):
+                continue
+            lines.append((line, tangents, codes))
+        covered = [_uncovered(c, [entry[0] for entry in lines]) for c in pending]
+        pending = [c for c in covered if c is not None]
+        if not pending:
+            break
+    complete = not pending
+    curves = []
+    for line, tangents, codes in lines:
+        x = scaled(line)
+        for end in (0, -1):
+            _clip_to_window(x, tangents, inside, end)
+        codes = [_name_end(c, locks) for c in codes]
+        curve = _exact_curve(membrane, contour, x, tangents, codes, count, tolerance, limits)
+        if curve is None:
+            complete = False
+            continue
+        complete &= _agrees(curve, contours, chart)
+        curves.append(curve)
+    curves.sort(key=lambda c: c.points.volume.min())
+    return curves, bool(complete)
+
+
+_limit = jax.jit(largest_load)
+
+
+def _name_end(code: Code, locks: bool) -> Code:
+    if code is Code.lock_up and not locks:
+        return Code.window_stretch
+    return Code.apex_cone if code in (Code.step_too_small, Code.not_converged) else code
+
+
+def _long_enough(vertices) -> bool:
+    return len(vertices) > 2 and np.linalg.norm(np.diff(scaled(vertices), axis=0), axis=1).sum() > 1e-3
+
+
+def _seed(vertices):
+    x = scaled(vertices)
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(x, axis=0), axis=1))])
+    i = int(np.clip(np.searchsorted(arc, arc[-1] / 2), 1, len(x) - 2))
+    heading = (x[i + 1] - x[i - 1]) * SCALE
+    return vertices[i], heading
+
+
+def _join(ahead, behind):
+    """One polyline from the two directions of a seed; a closed lane alone is the whole loop."""
+    if ahead[2] is Code.closed:
+        return ahead[0], ahead[1], (Code.closed, Code.closed)
+    if min(len(ahead[0]), len(behind[0])) < 1 or len(ahead[0]) + len(behind[0]) < 4:
+        return None
+    line = np.concatenate([behind[0][:0:-1], ahead[0]])
+    tangents = np.concatenate([-behind[1][:0:-1], ahead[1]])
+    return line, tangents, (behind[2], ahead[2])
+
+
+def _uncovered(vertices, lines, limit=0.08):
+    """The longest run of vertices that no line comes near, or None."""
+    away = np.full(len(vertices), np.inf)
+    for line in lines:
+        away = np.minimum(away, _distance_to_polyline(vertices, line))
+    far = away > limit
+    if not far.any():
+        return None
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], far.view(np.int8), [0]])))
+    begin, end = max(zip(edges[::2], edges[1::2], strict=True), key=lambda e: e[1] - e[0])
+    part = vertices[begin:end]
+    return part if _long_enough(part) else None
+
+
+def _agrees(curve: Curve, contours, chart: Scan) -> bool:
+    """Whether every point of the curve inside the scanned window lies on a contour of the scan."""
+    u = curve.points.u.T
+    load = u[:, 2] / np.interp(u[:, 0], chart.apex_stretch, chart.largest_load)
+    inside = (load < chart.load_fraction[-1] - 0.02) & (load > chart.load_fraction[0] + 0.02)
+    inside &= (u[:, 0] > chart.apex_stretch[2]) & (u[:, 0] < chart.apex_stretch[-3])
+    if not inside.any():
+        return True
+    away = np.full(int(inside.sum()), np.inf)
+    for vertices in contours:
+        away = np.minimum(away, _distance_to_polyline(u[inside], vertices))
+    return bool((away < 0.15).all())
+
+
+SCANNED = SCANNED_LOAD

@@ -1,0 +1,253 @@
+"""The command line `dielectric-jax`: single states and diagrams as a table, JSON or a figure.
+
+Bad input is one sentence on standard error and exit status 2; a scene without an answer is its result code's sentence
+and exit status 1. Everything that takes long to import is imported once the input is known to be well formed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from .arguments import CHAMBER_OPTIONS, MATERIAL_CONSTANT, PROGRAM, BadInput, option_names, read_arguments
+from .results import Code, SceneError
+
+__all__ = ["main"]
+
+
+def _say(text: str) -> None:
+    """Progress, for a person who waits at a terminal."""
+    if sys.stderr.isatty():
+        print(text, file=sys.stderr, flush=True)
+
+
+def _membrane(dj: Any, args: argparse.Namespace) -> Any:
+    kinds = {"gent": dj.Gent, "neo-hookean": dj.NeoHookean, "arruda-boyce": dj.ArrudaBoyce}
+    constant = MATERIAL_CONSTANT[args.material]
+    value = getattr(args, constant) if constant else None
+    material = kinds[args.material](**({} if value is None else {constant: value}))
+    breakdown = dj.VHBBreakdown() if args.breakdown == "vhb" else dj.ConstantBreakdown(args.breakdown)
+    return dj.Membrane(material=material, prestretch=args.prestretch, breakdown=breakdown)
+
+
+def _window(dj: Any, args: argparse.Namespace) -> Any:
+    def pair(window: list[float] | None) -> tuple[float, float] | None:
+        return None if window is None else (window[0], window[1])
+
+    return dj.Window(apex_stretch=pair(args.stretch_window), load_fraction=pair(args.load_window))
+
+
+def _scene(dj: Any, args: argparse.Namespace) -> Any:
+    if args.pressure is not None:
+        loading = dj.ConstantPressure(pressure=args.pressure)
+    else:
+        given = {name: getattr(args, name) for name in CHAMBER_OPTIONS if getattr(args, name) is not None}
+        loading = dj.Chamber(volume=args.chamber_volume, **given)
+    return dj.Scene(membrane=_membrane(dj, args), loading=loading, window=_window(dj, args))
+
+
+def _curves(dj: Any, args: argparse.Namespace, membrane: Any, voltages: Sequence[float]) -> list[Any]:
+    curves, window = [], _window(dj, args)
+    for voltage in voltages:
+        _say(f"pressure–volume curve at voltage {voltage:.6g} …")
+        curves.append(
+            dj.pressure_volume(membrane, voltage=voltage, points=args.points, tolerance=args.tolerance, window=window)
+        )
+    return curves
+
+
+def _run_equilibrium(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
+    membrane = _membrane(dj, args)
+    names = ("pressure", "volume", "apex_stretch")
+    given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
+    _say("equilibrium …")
+    answer = dj.equilibrium(
+        membrane, voltage=args.voltage, **given, all=args.all, tolerance=args.tolerance, window=_window(dj, args)
+    )
+    states = answer if args.all else [answer]
+    document = {"scene": dj.describe(membrane), "units": "dimensionless", "states": [s.to_json() for s in states]}
+
+    def draw() -> Any:
+        from .plotting import plot_diagram
+
+        figure = plot_diagram(_curves(dj, args, membrane, [args.voltage])[0])
+        (ax,) = figure.axes
+        right, top = ax.get_xlim()[1], ax.get_ylim()[1]
+        for state in states:
+            ax.plot(state.volume, state.pressure, "*", color="#D55E00", markersize=11, zorder=6)
+            right, top = max(right, 1.1 * state.volume), max(top, 1.1 * state.pressure)
+        ax.set_xlim(right=right)
+        ax.set_ylim(top=top)
+        return figure
+
+    return document, draw
+
+
+def _run_pressure_volume(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
+    curves = _curves(dj, args, _membrane(dj, args), args.voltage or [0.0])
+    documents = [c.to_json() for c in curves]
+
+    def draw() -> Any:
+        from .plotting import plot_diagram, plot_pressure_volume
+
+        if len(curves) == 1:
+            return plot_diagram(curves[0])
+        return plot_pressure_volume(curves).figure
+
+    return documents[0] if len(documents) == 1 else {"diagrams": documents}, draw
+
+
+def _run_voltage_volume(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
+    scene = _scene(dj, args)
+    _say("voltage–volume diagram …")
+    diagram = dj.voltage_volume(scene, points=args.points, tolerance=args.tolerance)
+
+    def draw() -> Any:
+        from .plotting import chamber_voltages, plot_chamber
+
+        curves = []
+        for voltage in chamber_voltages(diagram):
+            try:
+                curves += _curves(dj, args, scene.membrane, [voltage])
+            except SceneError:
+                # a flat film holds voltages at which no inflated state is left: there is no curve to draw
+                continue
+        return plot_chamber(diagram, curves)
+
+    return diagram.to_json(), draw
+
+
+_COMMANDS = {
+    "equilibrium": _run_equilibrium,
+    "pressure-volume": _run_pressure_volume,
+    "voltage-volume": _run_voltage_volume,
+}
+
+
+def _number_text(value: Any) -> str:
+    if value is None:
+        return "–"
+    return f"{value:.10g}" if isinstance(value, float) else str(value)
+
+
+def _table(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+    """Columns under their names, as wide as they need to be."""
+    cells = [list(header), *([_number_text(v) for v in row] for row in rows)]
+    widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
+    return "\n".join("  " + "  ".join(c.ljust(w) for c, w in zip(r, widths, strict=True)).rstrip() for r in cells)
+
+
+def _range(values: Sequence[float | None]) -> str:
+    known = [v for v in values if v is not None]
+    return f"{min(known):.6g} to {max(known):.6g}" if known else "–"
+
+
+def _summary(document: dict) -> str:
+    """A readable summary of a JSON document of this program."""
+    if "diagrams" in document:
+        return "\n\n".join(_summary(d) for d in document["diagrams"])
+    scene = ", ".join(f"{k} {_number_text(v)}" for k, v in document["scene"].items() if v is not None)
+    lines = [f"scene: {scene} ({document['units']})"]
+    if "states" in document:
+        return "\n".join([*lines, *_state_lines("states", document["states"], ())])
+    complete = "yes" if document["complete"] else "no, scan and engine disagree"
+    lines.append(f"engine: {document['engine']}, tolerance {document['tolerance']:g}, complete: {complete}")
+    lines += _branch_lines(document["branches"])
+    if document["special_points"]:
+        lines += _state_lines("special points", document["special_points"], ("kind", "branch"))
+    if document["ramp"]:
+        names = ("event", "direction", "voltage", "pressure", "volume", "apex_stretch", "breakdown_ratio", "reason")
+        lines += ["", "ramp", _table(names, [[e[n] for n in names] for e in document["ramp"]])]
+    if document["area_strain_reason"] is not None:
+        lines += ["", f"area strain: {_number_text(document['area_strain'])} ({document['area_strain_reason']})"]
+    return "\n".join(lines)
+
+
+def _branch_lines(branches: Sequence[dict]) -> list[str]:
+    header = ("branch", "points", "voltage squared", "pressure", "volume", "apex stretch", "from", "to", "flags")
+    names = ("voltage_squared", "pressure", "volume", "apex_stretch")
+    rows = [
+        [i, len(b["volume"]), *(_range(b[n]) for n in names), b["start"], b["end"], ", ".join(b["flags"]) or None]
+        for i, b in enumerate(branches)
+    ]
+    codes = dict.fromkeys(code for b in branches for code in (b["start"], b["end"]))
+    sentences = [f"  {code}: {Code[code].sentence}" for code in codes]
+    return ["", "branches", _table(header, rows), *sentences]
+
+
+def _state_lines(title: str, states: Sequence[dict], leading: Sequence[str]) -> list[str]:
+    names = (*leading, "voltage", "pressure", "volume", "apex_stretch", "breakdown_ratio", "index")
+    rows = [[*(s[n] for n in names), f"{s['error_estimate']:.1e}", ", ".join(s["flags"]) or None] for s in states]
+    return ["", title, _table((*names, "error", "flags"), rows)]
+
+
+def _write(document: dict, draw: Callable[[], Any], args: argparse.Namespace) -> None:
+    if args.json is not None:
+        text = json.dumps(document, allow_nan=False) + "\n"
+        if args.json == "-":
+            sys.stdout.write(text)
+            sys.stdout.flush()
+        else:
+            Path(args.json).write_text(text, encoding="utf-8")
+            _say(f"wrote {args.json}")
+    if args.figure is not None:
+        import matplotlib
+
+        matplotlib.use("Agg")
+        draw().savefig(args.figure, dpi=150)
+        _say(f"wrote {args.figure}")
+    if args.json is None and args.figure is None:
+        print(_summary(document), flush=True)
+
+
+def _answer(args: argparse.Namespace) -> None:
+    """Computes and writes what well-formed options ask for."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    import dielectric_jax as dj
+
+    dj.enable_compilation_cache()
+    if args.points is None:
+        args.points = 256
+    try:
+        document, draw = _COMMANDS[args.command](dj, args)
+    except ValueError as error:
+        raise BadInput(option_names(str(error), args)) from error
+    _write(document, draw, args)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs the program on `argv` (the process's own arguments when None) and returns its exit status.
+
+    >>> main(["equilibrium", "--volume", "-1"])  # doctest: +SKIP
+    2
+    """
+    try:
+        _answer(read_arguments(argv))
+    except BadInput as error:
+        print(f"{PROGRAM}: {error}", file=sys.stderr)
+        return 2
+    except SceneError as error:
+        print(f"{PROGRAM}: {error}", file=sys.stderr)
+        return 1
+    except BrokenPipeError:
+        # the reader of standard output has gone; Python must not try to flush to it at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except OSError as error:
+        print(f"{PROGRAM}: {error.filename or 'a file'} could not be written: {error.strerror}.", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print(f"{PROGRAM}: stopped.", file=sys.stderr)
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,247 @@
+"""The strokes that figures are made of: lines by stability, markers of points and events, entries of a legend."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .records import Branch, Event, SpecialPoint, State
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = [
+    "COLOURS",
+    "GAS",
+    "add_legend",
+    "columns",
+    "draw_events",
+    "draw_line",
+    "draw_points",
+    "event_entries",
+    "line_entries",
+    "line_entry",
+    "point_entries",
+    "sequence",
+]
+
+# Okabe and Ito's colours, which the colour-blind tell apart
+COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#000000")
+_UP, _DOWN = "#D55E00", "#56B4E9"
+_UNSTABLE = (0, (3.2, 1.8))
+GAS = (0, (7.0, 3.0))
+
+# kind of a special point: (marker, face, word)
+_POINTS = {
+    "fold": ("o", "white", "fold"),
+    "zero_voltage": ("s", "white", "zero voltage"),
+    "breakdown": ("x", None, "breakdown"),
+    "hoop_tension_loss": ("v", "white", "hoop tension lost"),
+    "slack": ("D", "white", "slack"),
+}
+# event of a ramp: (marker, word)
+_EVENTS = {
+    "start": ("o", "start"),
+    "landing": ("D", "landing"),
+    "breakdown": ("X", "breakdown of the ramp"),
+    "no_landing": ("^", "snap without landing"),
+    "end": (">", "end of the ramp"),
+}
+
+
+def sequence(count: int) -> list[Any]:
+    """Colours for an ordered quantity, from dark to light."""
+    import matplotlib
+
+    colours = matplotlib.colormaps["viridis"](np.linspace(0.0, 0.82, max(count, 2)))
+    return [tuple(c) for c in colours[:count]]
+
+
+def columns(branch: Branch, name: str, points: Sequence[SpecialPoint]) -> tuple[np.ndarray, ...]:
+    """Volume and q or p along a branch, and for each cell between two points whether it is broken and stable.
+
+    The located folds and the onset of breakdown are put in: otherwise two line styles would meet beside the turn.
+    Near q = 0 the states are evenly spaced in q, so Φ = √q would set off as a chord: that cell is refined, which is
+    exact enough because V is smooth in q.
+    """
+    volume, value = np.asarray(branch.volume, float), np.asarray(getattr(branch, name), float)
+    ratio = np.nan_to_num(np.asarray(branch.breakdown_ratio, float))
+    broken, stable = ratio >= 1, np.asarray(branch.index, float) == 0
+    at, extra = list(np.arange(len(volume), dtype=float)), []
+    turns, onsets = np.full((2, max(len(volume) - 1, 0)), np.nan)
+    for cell in np.flatnonzero(stable[1:] != stable[:-1]).tolist():
+        turns[cell], *state = _turn(branch, cell, name, points)
+        at.append(turns[cell])
+        extra.append(state)
+    for cell in np.flatnonzero(broken[1:] != broken[:-1]).tolist():
+        s = (1 - ratio[cell]) / (ratio[cell + 1] - ratio[cell])
+        onsets[cell] = cell + s
+        at.append(onsets[cell])
+        extra.append(_between(cell, s, volume, value))
+    if name == "voltage_squared":
+        for cell in np.flatnonzero((value[1:] >= 0) != (value[:-1] >= 0)).tolist():
+            zero = value[cell] / (value[cell] - value[cell + 1])
+            reached = 1.0 if value[cell + 1] >= 0 else 0.0
+            for s in zero + (reached - zero) * np.linspace(0, 1, 12)[:-1] ** 2:
+                v, q = _between(cell, s, volume, value)
+                at.append(cell + s)
+                extra.append((v, max(q, 0.0)))
+    order = np.argsort(at, kind="stable")
+    at = np.asarray(at)[order]
+    middle = (at[1:] + at[:-1]) / 2
+    volume = np.concatenate([volume, [e[0] for e in extra]])[order]
+    value = np.concatenate([value, [e[1] for e in extra]])[order]
+    return volume, value, _side(broken, onsets, middle), _side(stable, turns, middle)
+
+
+def _side(values: np.ndarray, changes: np.ndarray, middle: np.ndarray) -> np.ndarray:
+    """The value at fractional positions: that of the cell's near end, seen from where in the cell it changes."""
+    cell = np.floor(middle).astype(int)
+    return np.where(middle < changes[cell], values[cell], values[cell + 1])
+
+
+def _between(cell: int, s: float, *columns: np.ndarray) -> tuple[float, ...]:
+    return tuple(float((1 - s) * c[cell] + s * c[cell + 1]) for c in columns)
+
+
+def _turn(branch: Branch, cell: int, name: str, points: Sequence[SpecialPoint]) -> tuple[float, float, float]:
+    """Position, volume and value where the stability changes: the located fold if the cell has one, else its middle."""
+    ends = np.array([[branch.volume[i], branch.apex_stretch[i]] for i in (cell, cell + 1)], float)
+    room = 1e-9 * (1 + np.abs(ends).max(axis=0))
+    low, high = ends.min(axis=0) - room, ends.max(axis=0) + room
+    for p in points:
+        here = np.array([p.volume, p.apex_stretch])
+        if p.kind == "fold" and np.all(low <= here) and np.all(here <= high):
+            before, after = (float(np.linalg.norm(here - end)) for end in ends)
+            return cell + before / ((before + after) or 1.0), p.volume, float(getattr(p, name))
+    volume, value = np.asarray(branch.volume, float), np.asarray(getattr(branch, name), float)
+    v, y = _between(cell, 0.5, volume, value)
+    return cell + 0.5, v, y
+
+
+def draw_line(ax: Axes, x: np.ndarray, y: np.ndarray, stable: np.ndarray, broken: np.ndarray, *, colour: Any) -> None:
+    """Draws runs of cells of one style; `stable` and `broken` belong to cells, one fewer than points."""
+    for start, stop in _runs(2 * stable.astype(int) + broken.astype(int)):
+        ax.plot(
+            x[start : stop + 1],
+            y[start : stop + 1],
+            color=colour,
+            linestyle="-" if stable[start] else _UNSTABLE,
+            alpha=0.35 if broken[start] else 1.0,
+            linewidth=1.6,
+        )
+
+
+def _runs(keys: np.ndarray) -> Iterator[tuple[int, int]]:
+    """Start and stop of each run of equal keys."""
+    edges = [0, *(np.flatnonzero(np.diff(keys)) + 1), len(keys)]
+    return ((int(a), int(b)) for a, b in itertools.pairwise(edges) if b > a)
+
+
+def draw_points(ax: Axes, points: Iterable[SpecialPoint], name: str) -> None:
+    """Draws the marker of each special point; `name` is the quantity on the vertical axis."""
+    for p in points:
+        marker, face, _ = _POINTS[p.kind]
+        style: dict[str, Any] = (
+            {"color": "black"} if face is None else {"markerfacecolor": face, "markeredgecolor": "black"}
+        )
+        size = 7 if p.kind == "breakdown" else 5
+        ax.plot(p.volume, getattr(p, name), marker, markersize=size, markeredgewidth=1.2, zorder=4, **style)
+
+
+def draw_events(
+    ax: Axes, events: Sequence[Event], name: str, *, gas_line: Callable[[np.ndarray], np.ndarray] | None = None
+) -> None:
+    """Markers at the events, and an arrow for each jump: level in voltage, along the line of the air in pressure."""
+    for event, following in itertools.zip_longest(events, events[1:]):
+        colour = _UP if event.direction == "up" else _DOWN
+        state = event.state
+        if event.event in ("snap", "snap_back") and following is not None and following.event == "landing":
+            _draw_jump(ax, state, following.state, name, colour, gas_line)
+        if event.event in _EVENTS and not (event.event == "start" and event.direction == "down"):
+            size = 9 if event.event == "breakdown" else 6.5
+            ax.plot(
+                *(state.volume, getattr(state, name)),
+                _EVENTS[event.event][0],
+                color=colour,
+                markeredgecolor="white",
+                markeredgewidth=0.7,
+                markersize=size,
+                zorder=5,
+            )
+
+
+def _draw_jump(
+    ax: Axes,
+    state: State,
+    landing: State,
+    name: str,
+    colour: str,
+    gas_line: Callable[[np.ndarray], np.ndarray] | None,
+) -> None:
+    volume = np.linspace(state.volume, landing.volume, 60)
+    if gas_line is None:
+        level = np.linspace(getattr(state, name), getattr(landing, name), 60)
+    else:
+        level = np.asarray(gas_line(volume))
+    ax.plot(volume, level, color=colour, linewidth=2.2, zorder=3)
+    style = {"arrowstyle": "-|>", "color": colour, "linewidth": 2.2, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 15}
+    ax.annotate("", xy=(volume[36], level[36]), xytext=(volume[33], level[33]), arrowprops=style, zorder=3)
+
+
+def line_entry(label: str, **style: Any) -> tuple[Any, str]:
+    """An entry of a legend: a handle and its words."""
+    from matplotlib.lines import Line2D
+
+    colour = style.pop("colour", "0.25")
+    return Line2D([], [], color=colour, linewidth=1.6, **style), label
+
+
+def line_entries(branches: Sequence[Branch]) -> list[tuple[Any, str]]:
+    """The line styles that these branches use."""
+    index = np.concatenate([np.asarray(b.index, float) for b in branches]) if branches else np.zeros(0)
+    ratio = np.concatenate([np.asarray(b.breakdown_ratio, float) for b in branches]) if branches else np.zeros(0)
+    entries = []
+    if np.any(index == 0):
+        entries.append(line_entry("stable"))
+    if np.any(index > 0):
+        entries.append(line_entry("unstable", linestyle=_UNSTABLE))
+    if np.any(ratio >= 1):
+        entries.append(line_entry("beyond breakdown", alpha=0.35))
+    return entries
+
+
+def point_entries(points: Sequence[SpecialPoint]) -> list[tuple[Any, str]]:
+    """The markers that these special points use."""
+    entries = []
+    for kind, (marker, face, word) in _POINTS.items():
+        if any(p.kind == kind for p in points):
+            entry = line_entry(word, colour="black", marker=marker, linestyle="None", markersize=5)
+            if face is not None:
+                entry[0].set_markerfacecolor(face)
+            entries.append(entry)
+    return entries
+
+
+def event_entries(events: Sequence[Event]) -> list[tuple[Any, str]]:
+    """The markers and lines that these events use."""
+    entries = []
+    for name, (marker, word) in _EVENTS.items():
+        if any(e.event == name and e.direction == "up" for e in events):
+            entries.append(line_entry(word, colour=_UP, marker=marker, linestyle="None", markersize=6.5))
+    if any(e.event == "snap" for e in events):
+        entries.append(line_entry("snap", colour=_UP))
+    if any(e.event == "snap_back" for e in events):
+        entries.append(line_entry("snap back", colour=_DOWN))
+    if any(e.event == "end" and e.direction == "down" for e in events):
+        entries.append(line_entry("end of the ramp down", colour=_DOWN, marker=">", linestyle="None", markersize=6.5))
+    return entries
+
+
+def add_legend(ax: Axes, entries: Sequence[tuple[Any, str]]) -> None:
+    """Adds the legend of these entries."""
+    handles, labels = zip(*entries, strict=True) if entries else ((), ())
+    ax.legend(handles, labels, frameon=False, fontsize="small", loc="best")

@@ -1,0 +1,352 @@
+"""Points made exact: batched Newton onto a loading's contour, every quantity of a state, and its error estimate.
+
+The unknowns of a lane are u = (λa, p, q), the equations λ2(1) = λ0, the loading's condition, and one row that says
+where on the contour: a hyperplane, or a value. Newton runs with exact Jacobians on a coarse grid; then the residual alone
+is taken on finer grids (deferred correction), doubling the steps until the estimate meets the tolerance, at last
+adaptively. Going from n/2 to n steps moves a state by δ; the method is of order eight, so the error left is about δ/256,
+and δ/16 is reported, plus what rounding can do.
+"""
+
+import concurrent.futures
+import dataclasses
+import functools
+import os
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .loading import Contour
+from .materials import largest_load, stresses
+from .membrane import Membrane, field_ratio_squared, slopes
+from .shooting import COLUMNS, integrate_membrane
+
+__all__ = ["Points", "polish"]
+
+CHUNK = 64  # lanes of one call; one compiled program serves every count of points
+SCALE = np.array([1.0, 0.2, 0.02])  # of (λa, p, q)
+EASY = (16.0, 32.0, 64.0)  # steps: of Newton, then of the residual
+HARD = (64.0, 128.0, 256.0, 512.0)  # where an inner layer forms: a high load near lock-up, or near the cone
+ADAPTIVE = (10.0, 12.0)  # exponents of the tolerance of the careful path
+SAFETY = 16.0
+LEAST_ESTIMATE = 1e-13
+_ROUNDING = 2e-14  # relative to λa, p and V; measured
+
+
+@jax.jit
+def _jacobian_program(material, u, steps):
+    """lag, V, their columns by (λa, p, q), and the number of zeros of ∂λ2/∂λa in 0 < R < 1."""
+    shot = integrate_membrane(material, *u, steps, columns=COLUMNS, trail=True)
+    done, *_, sensitivity = shot.trail
+    change = done[1:] & (sensitivity[1:] * sensitivity[:-1] < 0)
+    columns = jnp.stack([jnp.stack(shot.columns[c]) for c in COLUMNS])
+    return shot.lag, shot.volume, columns, jnp.sum(change, axis=0)
+
+
+def _hermite_least(values, rates, done):
+    """Least value of the cubic Hermite interpolant over all intervals; arrays (nodes, lanes), rates per interval."""
+    f0, f1, d0, d1 = values[:-1], values[1:], rates[:-1], rates[1:]
+    c2, c3 = 3 * (f1 - f0) - 2 * d0 - d1, 2 * (f0 - f1) + d0 + d1
+    root = jnp.sqrt(jnp.maximum(c2 * c2 - 3 * c3 * d0, 0.0))
+    # the minimum is the root of d0 + 2 c2 x + 3 c3 x² with positive curvature, in its stable form
+    x = jnp.where(c2 >= 0, -d0 / jnp.where(c2 + root == 0, 1.0, c2 + root), (root - c2) / jnp.where(c3 == 0, 1.0, 3 * c3))
+    x = jnp.where((x > 0) & (x < 1), x, 0.0)
+    inner = f0 + x * (d0 + x * (c2 + x * c3))
+    return jnp.minimum(
+        jnp.min(jnp.where(done, values, jnp.inf), axis=0), jnp.min(jnp.where(done[1:], inner, jnp.inf), axis=0)
+    )
+
+
+@functools.partial(jax.jit, static_argnames="adaptive")
+def _value_program(membrane, u, steps, adaptive=False):
+    """lag, V, height, C = Q/Φ, least σ2 and largest (E/E_EB)²/q along the membrane, stretches admissible."""
+    apex, p, q = u
+    material = membrane.material
+    shot = integrate_membrane(material, apex, p, q, steps, outputs=True, trail=True, adaptive=adaptive)
+    done, radius, l1, l2, theta, _ = shot.trail
+    # the apex itself, then the nodes; beyond the last one the values are ignored
+    safe = functools.partial(jnp.where, done)
+    radius, l1, l2, theta = safe(radius, 1.0), safe(l1, apex), safe(l2, apex), safe(theta, 0.0)
+    rate1, rate2, _ = slopes(material, radius, l1, l2, theta, p, q)
+
+    def hoop(l1, l2):
+        return l2 * stresses(material, l1, l2, q)[1]
+
+    gap = jnp.diff(radius, axis=0)
+    least, largest = [], []
+    for kind, function in (("hoop", hoop), ("field", lambda a, b: -field_ratio_squared(membrane.breakdown, a, b))):
+        value, rate = jax.jvp(function, (l1, l2), (rate1, rate2))
+        f0, f1, d0, d1 = value[:-1], value[1:], rate[:-1] * gap, rate[1:] * gap
+        ends = jnp.stack([f0, f1]), jnp.stack([d0, d1])
+        inner = jax.vmap(lambda v, d: _hermite_least(v, d, jnp.ones(v.shape, bool)), in_axes=1)(*ends)
+        inner = jnp.min(jnp.where(done[1:], inner, jnp.inf), axis=0)
+        (least if kind == "hoop" else largest).append(jnp.minimum(inner, function(apex, apex)))
+    admissible = jnp.all(material.admissible(l1, l2), axis=0)
+    return shot.lag, shot.volume, shot.height, shot.charge, least[0], -largest[0], admissible
+
+
+@functools.cache
+def _threads() -> concurrent.futures.ThreadPoolExecutor:
+    return concurrent.futures.ThreadPoolExecutor(max(os.cpu_count() or 1, 1))
+
+
+def run_chunks(program: Callable, u: np.ndarray) -> list[np.ndarray]:
+    """`program` on lanes u of shape (3, lanes), in chunks of one compiled shape, on all cores."""
+    count = u.shape[1]
+    u = np.pad(u, ((0, 0), (0, -count % CHUNK)), mode="edge")
+    parts = [u[:, i : i + CHUNK] for i in range(0, u.shape[1], CHUNK)]
+
+    def work(part):
+        return [np.asarray(v) for v in program(part)]
+
+    done = [work(parts[0]), *(_threads().map(work, parts[1:]) if len(parts) > 1 else [])]
+    return [np.concatenate(pieces, axis=-1)[..., :count] for pieces in zip(*done, strict=True)]
+
+
+@dataclasses.dataclass
+class Points:
+    """States of many lanes as columns of shape (lanes,), with what locating special points needs.
+
+    `u` is (3, lanes), `tangent` the unit null vector in scaled unknowns (lanes, 3), `error` the relative error of p, V, q
+    at fixed λa, `error_of` those errors one by one (3, lanes), `ok` whether Newton converged.
+    """
+
+    u: np.ndarray
+    volume: np.ndarray
+    height: np.ndarray
+    charge_per_voltage: np.ndarray
+    hoop: np.ndarray
+    field: np.ndarray
+    tangent: np.ndarray
+    index: np.ndarray
+    error: np.ndarray
+    error_on_plane: np.ndarray
+    ok: np.ndarray
+
+    def __len__(self) -> int:
+        return self.u.shape[1]
+
+    def take(self, which) -> "Points":
+        """The lanes `which`, an index array or slice."""
+        return Points(**{f.name: getattr(self, f.name)[..., which] if f.name != "tangent" else self.tangent[which] for f in dataclasses.fields(self)})
+
+    @staticmethod
+    def join(parts: list["Points"]) -> "Points":
+        """All lanes of several sets, in order."""
+        return Points(
+            **{
+                f.name: np.concatenate([getattr(p, f.name) for p in parts], axis=0 if f.name == "tangent" else -1)
+                for f in dataclasses.fields(Points)
+            }
+        )
+
+
+def _assemble(u, lag, volume, columns, rim, contour):
+    """Residual (lanes, 2) and Jacobian (lanes, 2, 3) of rim condition and loading."""
+    by_p, by_v, by_q = contour.slopes(volume)
+    residual = np.stack([lag - (rim - u[0]), contour.residual(u[1], volume, u[2])], axis=1)
+    of_lag = columns[:, 0].copy()
+    of_lag[0] += 1.0
+    of_condition = by_v * columns[:, 1]
+    of_condition[1] += by_p
+    of_condition[2] += by_q
+    return residual, np.stack([of_lag.T, of_condition.T], axis=1)
+
+
+def _solve(matrix, right):
+    """Batched solve that gives NaN, not an exception, where a matrix is singular."""
+    good = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).reshape(len(right), -1).all(axis=1)
+    safe = np.where(good[:, None, None], matrix, np.eye(matrix.shape[-1]))
+    with np.errstate(all="ignore"):
+        good &= np.abs(np.linalg.det(safe)) > 1e-300
+        safe = np.where(good[:, None, None], safe, np.eye(matrix.shape[-1]))
+        out = np.linalg.solve(safe, right if right.ndim == 3 else right[..., None])
+    out[~good] = np.nan
+    return out if right.ndim == 3 else out[..., 0]
+
+
+def tangents(jacobian: np.ndarray) -> np.ndarray:
+    """Unit null vectors (lanes, 3) of (lanes, 2, 3) Jacobians, in scaled unknowns."""
+    a, b = (jacobian * SCALE)[:, 0], (jacobian * SCALE)[:, 1]
+    null = np.cross(a, b)
+    with np.errstate(all="ignore"):
+        return null / np.linalg.norm(null, axis=1, keepdims=True)
+
+
+def _index(zeros, jacobian, columns, volume, contour):
+    """Morse index under the loading: zeros of ∂λ2/∂λa, less one where the gas stiffens the mode.
+
+    With a = ∂λ2(1)/∂λa and b = ∂λ2(1)/∂p: 1 + k dV/dp|q = (a + k (V_p a − V_a b))/a; the parity of the zeros is a's sign.
+    """
+    a, b = jacobian[:, 0, 0], jacobian[:, 0, 1]
+    zeros = zeros + ((zeros % 2 == 1) != (a < 0))  # a zero that a step at the rim hides
+    k = contour.gas_stiffness(volume)
+    with np.errstate(all="ignore"):
+        gain = (a + k * (columns[1, 1] * a - columns[0, 1] * b)) / a
+    return np.where(gain < 0, zeros - 1, zeros)
+
+
+def is_hard(membrane: Membrane, apex_stretch: np.ndarray, load_fraction: np.ndarray) -> np.ndarray:
+    """Where the coarse grid does not resolve the membrane: a high load near lock-up, and anywhere near the cone."""
+    lock_up = membrane.lock_up_stretch()[0]
+    return ((load_fraction > 0.7) & (apex_stretch > 0.72 * lock_up)) | (load_fraction > 0.93)
+
+
+def load_fraction(membrane: Membrane, u: np.ndarray) -> np.ndarray:
+    """t = q/q_max(λa) of points (3, lanes)."""
+    return u[2] / run_chunks(lambda part: [_limits(membrane.material, part[0])], u)[0]
+
+
+_limits = jax.jit(largest_load)
+
+
+def polish(membrane: Membrane, contour: Contour, u, rows, targets, *, tolerance=1e-9, reach=1.0, quick=False) -> Points:
+    """Newton from `u` (3, lanes) onto the contour, with rows·u = targets; `rows` is (lanes, 3).
+
+    A row of NaN asks for a volume: V = target. `reach` bounds the total correction in scaled unknowns: farther means not
+    converged. `quick` stops after one residual on the finer grid. Lanes that fail have ok = False and never disturb the
+    others.
+    """
+    u, rows, targets = np.array(u, float), np.asarray(rows, float), np.asarray(targets, float)
+    hard = is_hard(membrane, u[0], load_fraction(membrane, u))
+    order, parts = [], []
+    again = np.zeros(0, int)
+    for easy, ladder in ((True, EASY), (False, HARD)):
+        which = np.flatnonzero(~hard) if easy else np.sort(np.concatenate([np.flatnonzero(hard), again]))
+        if not len(which):
+            continue
+        done = _polish(
+            membrane, contour, u[:, which], rows[which], targets[which], tolerance, reach, ladder[:2] if quick else ladder
+        )
+        if easy:
+            failed = ~done.ok if quick else ~(done.ok & (done.error <= tolerance))
+            again = which[failed]
+            which, done = which[~failed], done.take(np.flatnonzero(~failed))
+        order.append(which)
+        parts.append(done)
+    return Points.join(parts).take(np.argsort(np.concatenate(order)))
+
+
+def _polish(membrane, contour, u, rows, targets, tolerance, reach, ladder) -> Points:
+    """`polish` of lanes that share one ladder of grids."""
+    coarse = ladder[0]
+    u = np.array(u, float)
+    lanes = u.shape[1]
+    rim = float(membrane.prestretch)
+    start = u.copy()
+    by_volume = ~np.isfinite(rows).all(axis=1)
+
+    def system(part, lag, volume, columns):
+        at = u[:, part]
+        residual, jacobian = _assemble(at, lag, volume, columns, rim, contour)
+        last_row = np.where(by_volume[part, None], columns[:, 1].T, rows[part])
+        last = np.where(by_volume[part], volume, np.einsum("ij,ji->i", np.nan_to_num(rows[part]), at)) - targets[part]
+        return np.concatenate([residual, last[:, None]], axis=1), np.concatenate([jacobian, last_row[:, None]], axis=1)
+
+    matrix = np.full((lanes, 3, 3), np.nan)
+    columns = np.full((3, 2, lanes), np.nan)
+    zeros = np.zeros(lanes, int)
+    volume = np.full(lanes, np.nan)
+    active = np.arange(lanes)
+    settled = np.zeros(lanes, bool)
+
+    def newton(active, steps, tries):
+        size = np.full(lanes, np.inf)
+        for _ in range(tries):
+            if not len(active):
+                break
+            lag, volume[active], columns[..., active], zeros[active] = run_chunks(
+                lambda part: _jacobian_program(membrane.material, part, steps), u[:, active]
+            )
+            right, matrix[active] = system(active, lag, volume[active], columns[..., active])
+            move = -_solve(matrix[active], right)
+            length = np.linalg.norm(move / SCALE, axis=1)
+            with np.errstate(all="ignore"):
+                move = move * np.minimum(1.0, 0.5 * reach / length)[:, None]
+            u[:, active] += move.T
+            volume[active] += np.einsum("il,li->l", columns[:, 1][:, active], move)
+            size[active] = length
+            drift = np.linalg.norm((u[:, active] - start[:, active]).T / SCALE, axis=1)
+            settled[active] = size[active] < 1e-5
+            active = active[~settled[active] & np.isfinite(length) & (drift < 3 * reach)]
+
+    newton(active, coarse, 9)
+    settled &= np.isfinite(u).all(axis=0)
+    result = [volume.copy(), *(np.full(lanes, np.nan) for _ in range(4))]
+    admissible = np.zeros(lanes, bool)
+    change_of_volume = np.full(lanes, np.nan)
+    discretisation = np.full((lanes, 2), np.nan)  # change of (rim condition, condition) from the coarser grid
+    estimate = np.full(lanes, np.inf)
+    plane = np.full(lanes, np.inf)
+
+    def correct(active, steps, adaptive=False):
+        """Deferred correction on one grid: what the residual becomes, and the state moved to make it zero."""
+        first = None
+        for _ in range(4):
+            lag, vol, *rest, inside = run_chunks(
+                lambda part: _value_program(membrane, part, steps, adaptive=adaptive), u[:, active]
+            )
+            right, _ = system(active, lag, vol, columns[..., active])
+            move = -_solve(matrix[active], right)
+            if first is None:
+                first = right[:, :2].copy()
+                change_of_volume[active] = np.abs(vol - result[0][active])
+            u[:, active] += move.T
+            change = np.einsum("il,li->l", columns[:, 1][:, active], move)
+            for store, values in zip(result, [vol + change, *rest], strict=True):
+                store[active] = values
+            admissible[active] = inside.astype(bool)
+            if not np.nanmax(np.linalg.norm(move / SCALE, axis=1), initial=0.0) > 1e-12:
+                break
+        return first
+
+    def estimate_errors(active):
+        by_volume = np.abs(contour.slopes(result[0][active])[1] * result[0][active])
+        rounding = _ROUNDING * np.stack([np.abs(u[0, active]), np.abs(u[1, active]) + by_volume], axis=1)
+        both = discretisation[active] / SAFETY + rounding
+        fixed_apex = matrix[active].copy()
+        fixed_apex[:, 2] = [1.0, 0.0, 0.0]
+        on_plane = matrix[active].copy()
+        on_plane[:, 2] = tangents(matrix[active][:, :2]) / SCALE
+        for store, system_matrix in ((estimate, fixed_apex), (plane, on_plane)):
+            inverse = np.abs(_solve(system_matrix, np.broadcast_to(np.eye(3), system_matrix.shape).copy())[:, :, :2])
+            moved = np.einsum("lij,lj->li", inverse, both)
+            of_volume = np.einsum("il,li->l", np.abs(columns[:, 1][:, active]), moved)
+            of_volume += _ROUNDING * np.abs(result[0][active]) + change_of_volume[active] / SAFETY
+            value = np.stack([u[1, active], result[0][active], u[2, active]])
+            error = np.stack([moved[:, 1], of_volume, moved[:, 2]]) / np.maximum(np.abs(value), 1e-3)
+            store[active] = np.maximum(np.nan_to_num(error.max(axis=0), nan=np.inf), LEAST_ESTIMATE)
+
+    active = np.flatnonzero(settled)
+    for steps in ladder[1:]:
+        if not len(active):
+            break
+        discretisation[active] = np.abs(correct(active, steps))
+        estimate_errors(active)
+        active = active[~(estimate[active] <= tolerance)]
+    if ladder == HARD and len(active):
+        # not in the cone itself, where no step count helps
+        active = active[load_fraction(membrane, u[:, active]) < 0.95]
+        for exponent in ADAPTIVE:
+            if not len(active):
+                break
+            discretisation[active] = np.abs(correct(active, exponent, adaptive=True))
+            if exponent != ADAPTIVE[0]:
+                estimate_errors(active)
+                active = active[~(estimate[active] <= tolerance)]
+    drift = np.linalg.norm((u - start).T / SCALE, axis=1)
+    ok = settled & np.isfinite(u).all(axis=0) & np.isfinite(result[0]) & (drift < 2 * reach) & admissible
+    return Points(
+        u=u,
+        volume=result[0],
+        height=result[1],
+        charge_per_voltage=result[2],
+        hoop=result[3],
+        field=result[4],
+        tangent=tangents(matrix[:, :2]),
+        index=_index(zeros, matrix, columns, result[0], contour),
+        error=estimate,
+        error_on_plane=plane,
+        ok=ok,
+    )

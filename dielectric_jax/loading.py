@@ -1,0 +1,140 @@
+"""How pressure, volume and electrostatic load are tied together: a loading draws one contour on the chart.
+
+Every loading becomes values of one `Contour`, so that one compiled program serves them all.
+"""
+
+import abc
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import ScalarLike
+
+from .materials import as_scalar, is_concrete
+from .results import check_positive
+
+__all__ = ["AbstractLoading", "Chamber", "ConstantPressure", "ConstantVoltage", "Contour"]
+
+
+def _namespace(*values):
+    """NumPy for NumPy values, so that host code compiles nothing; else jax.numpy."""
+    return np if all(isinstance(v, (np.ndarray, np.generic, float, int)) for v in values) else jnp
+
+
+class Contour(eqx.Module):
+    """The condition a (p − p_gas(V)) + b (q − q*) = 0 with the gas of a closed chamber, eq. (24).
+
+    (p_gas + p_atm)(V + V_C)ⁿ = (p_0 + p_atm)(V_0 + V_C)ⁿ; an exponent n = 0 is a gas of constant pressure.
+    """
+
+    pressure_weight: ScalarLike
+    load_weight: ScalarLike
+    load: ScalarLike
+    chamber_volume: ScalarLike
+    initial_pressure: ScalarLike
+    initial_volume: ScalarLike
+    atmospheric_pressure: ScalarLike
+    exponent: ScalarLike
+
+    def gas_pressure(self, volume):
+        """p_gas(V), written so that nothing cancels for a huge chamber; elementwise."""
+        xp = _namespace(volume, *jax.tree.leaves(self))
+        growth = xp.log1p((self.initial_volume - volume) / (volume + self.chamber_volume))
+        return self.initial_pressure + (self.initial_pressure + self.atmospheric_pressure) * xp.expm1(
+            self.exponent * growth
+        )
+
+    def gas_stiffness(self, volume):
+        """k = −dp_gas/dV = n (p_gas + p_atm)/(V + V_C), the rank-one term a chamber adds to the second variation."""
+        pressure = self.gas_pressure(volume) + self.atmospheric_pressure
+        return self.pressure_weight * self.exponent * pressure / (volume + self.chamber_volume)
+
+    def residual(self, pressure, volume, voltage_squared):
+        """The condition; elementwise."""
+        return self.pressure_weight * (pressure - self.gas_pressure(volume)) + self.load_weight * (
+            voltage_squared - self.load
+        )
+
+    def slopes(self, volume):
+        """Derivatives of the residual by p, V and q."""
+        return self.pressure_weight, self.gas_stiffness(volume), self.load_weight
+
+
+class AbstractLoading(eqx.Module):
+    """A loading; `contour` gives its values, with the filling of a chamber already known on both sides."""
+
+    @abc.abstractmethod
+    def contour(self, initial_pressure=None, initial_volume=None) -> Contour:
+        """The values of the loading's condition; a chamber needs its filling (p_0, V_0)."""
+
+
+def _contour(**values) -> Contour:
+    names = [f.name for f in dataclasses.fields(Contour)]
+    return Contour(**{n: as_scalar(values.get(n, 0.0 if n != "chamber_volume" else 1.0)) for n in names})
+
+
+class ConstantVoltage(AbstractLoading):
+    """The voltage is held and the pressure controlled: the pressure–volume curve."""
+
+    voltage: ScalarLike = eqx.field(default=0.0, converter=as_scalar)
+
+    def __check_init__(self):
+        if is_concrete(self.voltage):
+            check_positive("voltage", float(self.voltage), zero=True)
+
+    def contour(self, initial_pressure=None, initial_volume=None):
+        return _contour(load_weight=10.0, load=self.voltage**2)
+
+
+class ConstantPressure(AbstractLoading):
+    """The pressure is held and the voltage controlled: p = `pressure`."""
+
+    pressure: ScalarLike = eqx.field(converter=as_scalar)
+
+    def __check_init__(self):
+        if is_concrete(self.pressure):
+            check_positive("pressure", float(self.pressure), zero=True)
+
+    def contour(self, initial_pressure=None, initial_volume=None):
+        return _contour(pressure_weight=1.0, initial_pressure=self.pressure)
+
+
+class Chamber(AbstractLoading):
+    """A closed chamber of air: (p + p_atm)(V + V_C)ⁿ = (p_0 + p_atm)(V_0 + V_C)ⁿ, eq. (24) with n = 1.
+
+    `volume` is V_C. Give the filling by `initial_volume` V_0 or by `initial_pressure` p_0 (then the state of smallest
+    volume at zero voltage is meant), not both; a scene works out the other from its membrane.
+    `polytropic_exponent` n is 1 for an isothermal gas.
+    """
+
+    volume: ScalarLike = eqx.field(converter=as_scalar)
+    initial_volume: ScalarLike | None = eqx.field(default=None, converter=lambda v: None if v is None else as_scalar(v))
+    initial_pressure: ScalarLike | None = eqx.field(
+        default=None, converter=lambda v: None if v is None else as_scalar(v)
+    )
+    atmospheric_pressure: ScalarLike = eqx.field(default=50.0, converter=as_scalar)
+    polytropic_exponent: ScalarLike = eqx.field(default=1.0, converter=as_scalar)
+
+    def __check_init__(self):
+        given = [n for n in ("initial_volume", "initial_pressure") if getattr(self, n) is not None]
+        if len(given) != 1:
+            raise ValueError(
+                f"`initial_volume` or `initial_pressure` must be given, one of the two, but {len(given)} are."
+            )
+        checks = {"volume": False, "polytropic_exponent": False, "atmospheric_pressure": True, given[0]: True}
+        for name, zero in checks.items():
+            value = getattr(self, name)
+            if is_concrete(value):
+                check_positive("chamber_volume" if name == "volume" else name, float(value), zero=zero)
+
+    def contour(self, initial_pressure=None, initial_volume=None):
+        return _contour(
+            pressure_weight=1.0,
+            chamber_volume=self.volume,
+            initial_pressure=initial_pressure,
+            initial_volume=initial_volume,
+            atmospheric_pressure=self.atmospheric_pressure,
+            exponent=self.polytropic_exponent,
+        )

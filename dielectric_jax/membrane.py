@@ -1,0 +1,132 @@
+"""One membrane: its equilibrium equations at any electrostatic load, the series at its apex, its identities.
+
+Symbols: R radius of a point before deformation; r, z its place after; θ slope; l1 = λ1, l2 = λ2 = r/R stretches;
+q = Φ² electrostatic load; p pressure. All functions are elementwise: scalars, or arrays of one shape.
+Source: Li et al., doi 10.1016/j.jmps.2012.09.006, equations (10), (11), (13), (16), (17), (21), (22).
+"""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import ScalarLike
+
+from .materials import (
+    AbstractBreakdown,
+    AbstractMaterial,
+    Gent,
+    VHBBreakdown,
+    as_scalar,
+    is_concrete,
+    largest_load,
+    stresses,
+)
+
+__all__ = ["Membrane", "Profile"]
+
+
+def require_float64() -> None:
+    """Raises unless JAX computes in float64."""
+    if not jax.config.jax_enable_x64:
+        raise ValueError(
+            "`dielectric_jax` must compute in float64, but JAX is set to float32; add the line "
+            '`jax.config.update("jax_enable_x64", True)` before the first computation.'
+        )
+
+
+class Membrane(eqx.Module):
+    """A circular membrane, clamped at R = 1 to r = `prestretch`.
+
+    >>> Membrane(material=Gent(stretch_limit=270.0), prestretch=1.5).prestretch
+    array(1.5)
+    """
+
+    material: AbstractMaterial = eqx.field(default_factory=Gent)
+    prestretch: ScalarLike = eqx.field(default=1.0, converter=as_scalar)
+    breakdown: AbstractBreakdown = eqx.field(default_factory=VHBBreakdown)
+
+    def __check_init__(self):
+        require_float64()
+        if not isinstance(self.material, AbstractMaterial):
+            raise ValueError(f"`material` must be a material such as Gent(), but is {self.material!r}.")
+        if not isinstance(self.breakdown, AbstractBreakdown):
+            raise ValueError(f"`breakdown` must be a breakdown law such as VHBBreakdown(), but is {self.breakdown!r}.")
+        if is_concrete(self.prestretch):
+            prestretch = float(self.prestretch)
+            if not prestretch >= 1:
+                raise ValueError(f"`prestretch` must be at least 1, but is {prestretch!r}.")
+            leaves = jax.tree.leaves(self.material)
+            if all(is_concrete(leaf) for leaf in leaves):
+                limit, _ = self.material.lock_up_stretch(prestretch)
+                if not prestretch < limit:
+                    raise ValueError(
+                        f"`prestretch` must be below the material's limiting stretch {limit:.6g}, but is {prestretch!r}."
+                    )
+
+    def lock_up_stretch(self) -> tuple[float, bool]:
+        """The largest apex stretch of the default window, and whether it is a lock-up."""
+        return self.material.lock_up_stretch(float(self.prestretch))
+
+    def largest_load(self, apex_stretch):
+        """q_max(λa), see `materials.largest_load`."""
+        return largest_load(self.material, apex_stretch)
+
+
+def slopes(material: AbstractMaterial, radius, l1, l2, theta, pressure, q):
+    """dλ1/dR (17), dλ2/dR = (λ1 cos θ − λ2)/R, dθ/dR (16)."""
+    s1, s2, s11, s12 = stresses(material, l1, l2, q)
+    sine, cosine = jnp.sin(theta), jnp.cos(theta)
+    lean = l1 * cosine - l2
+    return (
+        (s2 * cosine - s1 - s12 * lean) / (radius * s11),
+        lean / radius,
+        -(s2 / s1) * sine / radius + pressure * l1 * l2 / s1,
+    )
+
+
+def apex_series(material: AbstractMaterial, apex_stretch, pressure, q):
+    """λ1 = λa + a R², λ2 = λa + b R², θ = κ R near the apex: returns a, b, κ.
+
+    With κ = p λa²/(2 s0): a − 3b = λa κ²/2 and a(3 s11 − s12) + b(3 s12 − s11) = −s0 κ²/2.
+    """
+    s0, _, s11, s12 = stresses(material, apex_stretch, apex_stretch, q)
+    kappa = pressure * apex_stretch**2 / (2 * s0)
+    kinematic, force = apex_stretch * kappa**2 / 2, -s0 * kappa**2 / 2
+    of_a, of_b = 3 * s11 - s12, 3 * s12 - s11
+    b = (force - of_a * kinematic) / (of_b + 3 * of_a)
+    return kinematic + 3 * b, b, kappa
+
+
+def field_ratio_squared(breakdown: AbstractBreakdown, l1, l2):
+    """(E/E_EB)² per unit of q: (λ1 λ2 / E_EB(√(λ1 λ2)))²; elementwise."""
+    area = l1 * l2
+    return (area / breakdown.field(jnp.sqrt(area))) ** 2
+
+
+@dataclasses.dataclass(frozen=True)
+class Profile:
+    """The membrane along its radius, arrays of shape (points,), dimensionless.
+
+    `radius` is R; `r`, `z` the deformed place, z measured downward from the apex; `field` the true electric field
+    (None where q < 0); stresses are true stresses.
+    """
+
+    radius: np.ndarray
+    r: np.ndarray
+    z: np.ndarray
+    theta: np.ndarray
+    stretch_1: np.ndarray
+    stretch_2: np.ndarray
+    stress_1: np.ndarray
+    stress_2: np.ndarray
+    field: np.ndarray | None
+    breakdown_ratio: np.ndarray | None
+    pressure: float
+    voltage_squared: float
+
+    def first_integral_defect(self) -> np.ndarray:
+        """R s1 sin θ − p r²/2, zero at every R in equilibrium (13)."""
+        s1 = self.stress_1 / self.stretch_1
+        return self.radius * s1 * np.sin(self.theta) - self.pressure * self.r**2 / 2

@@ -1,0 +1,76 @@
+"""Result codes as sentences that say what to try, and the errors raised at the edge.
+
+Traced code carries the integer of a `Code`; outside, `Code(i).sentence` reads it, and `SceneError` carries it.
+Bad input is a `ValueError` whose one sentence names the argument, its value and what is allowed.
+"""
+
+import enum
+import math
+
+__all__ = ["Code", "SceneError", "check_between", "check_positive"]
+
+
+class Code(enum.IntEnum):
+    """Why a branch ended, a solve stopped or a scene has no answer."""
+
+    ok = 0
+    window_stretch = 1
+    window_load = 2
+    lock_up = 3
+    apex_cone = 4
+    closed = 5
+    step_too_small = 6
+    too_many_points = 7
+    not_converged = 8
+    no_equilibrium = 9
+    flat_unstretched = 10
+    no_fold = 11
+    beyond_tolerance = 12
+
+    @property
+    def sentence(self) -> str:
+        """What happened and what to try."""
+        return _SENTENCES[self]
+
+
+_SENTENCES = {
+    Code.ok: "The solve succeeded.",
+    Code.window_stretch: "The branch left the stretch window; widen the stretch window to follow it further.",
+    Code.window_load: "The branch left the load window; widen the load window to follow it further.",
+    Code.lock_up: "The apex reached the lock-up of the material; a larger limiting stretch moves this end.",
+    Code.apex_cone: (
+        "The apex sharpens to a cone, where the tension vanishes, and the error estimate exceeds the tolerance; "
+        "loosen the tolerance to follow the branch a little further."
+    ),
+    Code.closed: "The branch is an isolated loop and returned to its first point.",
+    Code.step_too_small: "The continuation step shrank below its minimum; try a smaller minimum step.",
+    Code.too_many_points: "The continuation met its limit of points; raise the limit or the largest step.",
+    Code.not_converged: "Newton did not converge; try a start nearer to an equilibrium.",
+    Code.no_equilibrium: "No tensile equilibrium of this scene lies in the window; lower the voltage or widen the window.",
+    Code.flat_unstretched: (
+        "The membrane is flat and unstretched, so it carries no tension; ask for a positive pressure or volume, "
+        "or a prestretch above 1."
+    ),
+    Code.no_fold: "The ramp up has no fold of a stable branch in the window, so there is no snap.",
+    Code.beyond_tolerance: "The error estimate exceeds the tolerance; ask for a looser tolerance.",
+}
+
+
+class SceneError(RuntimeError):
+    """A scene without an answer: `code` says why, the message what to try."""
+
+    def __init__(self, code: Code, detail: str = ""):
+        self.code = code
+        super().__init__(f"{code.name}: {detail + ' ' if detail else ''}{code.sentence}")
+
+
+def check_positive(name: str, value: float, *, zero: bool = False) -> None:
+    """Raises `ValueError` unless `value` is finite and positive (or zero, with `zero=True`)."""
+    if not (math.isfinite(value) and (value > 0 or (zero and value == 0))):
+        raise ValueError(f"`{name}` must be {'zero or positive' if zero else 'positive'} and finite, but is {value!r}.")
+
+
+def check_between(name: str, value: float, low: float, high: float, *, what: str = "") -> None:
+    """Raises `ValueError` unless `low <= value <= high`; `what` explains the limits."""
+    if not low <= value <= high:
+        raise ValueError(f"`{name}` must lie between {low:g} and {high:g}{what and ' (' + what + ')'}, but is {value!r}.")

@@ -1,0 +1,170 @@
+"""A scene: one membrane under one loading, looked at through a window.
+
+The scene decides what is integrated: which derivatives the loading's condition needs, and where the window ends.
+"""
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from .loading import AbstractLoading, Chamber, ConstantPressure, ConstantVoltage
+from .materials import ArrudaBoyce, ConstantBreakdown, CustomMaterial, Gent, NeoHookean, VHBBreakdown
+from .membrane import Membrane
+from .results import Code
+
+__all__ = ["PARAMETERS", "Scene", "Window", "describe"]
+
+SCANNED_LOAD = 0.9  # the scan covers load fractions up to this
+
+#: every continuous parameter of a scene, and where it lives
+PARAMETERS = {
+    "chamber_volume": ("loading", "volume"),
+    "initial_volume": ("loading", "initial_volume"),
+    "initial_pressure": ("loading", "initial_pressure"),
+    "atmospheric_pressure": ("loading", "atmospheric_pressure"),
+    "polytropic_exponent": ("loading", "polytropic_exponent"),
+    "pressure": ("loading", "pressure"),
+    "prestretch": ("membrane", "prestretch"),
+    "breakdown_field_scale": ("membrane", "breakdown", "scale"),
+    "stretch_limit": ("membrane", "material", "stretch_limit"),
+    "chain_links": ("membrane", "material", "chain_links"),
+}
+
+
+def _pair(name, value):
+    if value is None:
+        return None
+    try:
+        low, high = (float(v) for v in value)
+    except (TypeError, ValueError):
+        raise ValueError(f"`{name}` must be a pair of numbers (low, high), but is {value!r}.") from None
+    if not (np.isfinite(low) and np.isfinite(high) and low < high):
+        raise ValueError(f"`{name}` must be finite with low < high, but is ({low!r}, {high!r}).")
+    return low, high
+
+
+class Window(eqx.Module):
+    """The part of the chart that is searched: apex stretch, and load fraction t = q/q_max(λa).
+
+    `apex_stretch=None` means from the prestretch to the lock-up of the material (12 prestretches where it has none).
+    """
+
+    apex_stretch: tuple[float, float] | None = eqx.field(
+        default=None, static=True, converter=lambda v: _pair("stretch_window", v)
+    )
+    load_fraction: tuple[float, float] = eqx.field(
+        default=(-1.0, 1.0), static=True, converter=lambda v: (-1.0, 1.0) if v is None else _pair("load_window", v)
+    )
+
+    def __check_init__(self):
+        low, high = self.load_fraction
+        if not (low >= -20 and high <= 1):
+            raise ValueError(f"`load_window` must lie between -20 and 1, but is ({low!r}, {high!r}).")
+        if not low < SCANNED_LOAD:
+            raise ValueError(f"`load_window` must begin below {SCANNED_LOAD}, but begins at {low!r}.")
+
+
+class Scene(eqx.Module):
+    """One membrane under one loading; `replace` changes parameters by their published names (`PARAMETERS`).
+
+    >>> scene = Scene(membrane=Membrane(), loading=Chamber(volume=1600.0, initial_volume=2.42))
+    >>> float(scene.replace(chamber_volume=800.0).loading.volume)
+    800.0
+    """
+
+    membrane: Membrane
+    loading: AbstractLoading
+    window: Window = eqx.field(default_factory=Window)
+
+    def __check_init__(self):
+        if not isinstance(self.membrane, Membrane):
+            raise ValueError(f"`membrane` must be a Membrane, but is {self.membrane!r}.")
+        if not isinstance(self.loading, AbstractLoading):
+            raise ValueError(f"`loading` must be a loading such as Chamber(...), but is {self.loading!r}.")
+
+    def replace(self, **parameters) -> "Scene":
+        """The scene with other values of the named parameters; setting one side of a filling clears the other."""
+        scene = self
+        for name, value in parameters.items():
+            path = PARAMETERS.get(name)
+            if path is None:
+                raise ValueError(f"`{name}` must be one of {', '.join(PARAMETERS)}, but is not a parameter of a scene.")
+            if not _has(scene, path):
+                raise ValueError(f"`{name}` must be a parameter of this scene, but its {path[0]} has none of that name.")
+            changes = {path[-1]: value}
+            other = {"initial_volume": "initial_pressure", "initial_pressure": "initial_volume"}.get(name)
+            if other:
+                changes[other] = None
+            scene = _rebuild(scene, path[:-1], changes)
+        return scene
+
+    def limits(self) -> tuple[tuple[float, float], bool, tuple[float, float]]:
+        """Apex-stretch limits, whether the upper one is the material's lock-up, and load-fraction limits."""
+        lock_up, locks = self.membrane.lock_up_stretch()
+        prestretch = float(self.membrane.prestretch)
+        if self.window.apex_stretch is None:
+            return (prestretch, lock_up), locks, self.window.load_fraction
+        low, high = self.window.apex_stretch
+        if not high > prestretch:
+            raise ValueError(f"`stretch_window` must end above the prestretch {prestretch:g}, but ends at {high!r}.")
+        if not low < lock_up:
+            raise ValueError(f"`stretch_window` must begin below the lock-up stretch {lock_up:.6g}, but begins at {low!r}.")
+        return (max(low, prestretch), min(high, lock_up)), locks and high >= lock_up, self.window.load_fraction
+
+
+def _fields(module) -> set:
+    return set(module.__dataclass_fields__)
+
+
+def _has(module, path) -> bool:
+    for name in path:
+        if name not in _fields(module):
+            return False
+        module = getattr(module, name)
+    return True
+
+
+def _rebuild(module, path, changes):
+    """A copy with fields changed, through the constructors, so that every check runs again."""
+    if path:
+        changes = {path[0]: _rebuild(getattr(module, path[0]), path[1:], changes)}
+    return type(module)(**{n: getattr(module, n) for n in _fields(module)} | changes)
+
+
+_MATERIAL_NAMES = {Gent: "gent", NeoHookean: "neo-hookean", ArrudaBoyce: "arruda-boyce", CustomMaterial: "custom"}
+
+
+def describe(what: Scene | Membrane) -> dict:
+    """The scene's parameters under their published names, as the JSON documents carry them."""
+    scene = what if isinstance(what, Scene) else None
+    membrane = what.membrane if isinstance(what, Scene) else what
+    out: dict = {"material": _MATERIAL_NAMES.get(type(membrane.material), type(membrane.material).__name__)}
+    for name in ("stretch_limit", "chain_links"):
+        if name in _fields(membrane.material):
+            out[name] = float(getattr(membrane.material, name))
+    out["prestretch"] = float(membrane.prestretch)
+    law = membrane.breakdown
+    out["breakdown"] = (
+        "vhb"
+        if isinstance(law, VHBBreakdown)
+        else float(law.constant_field)
+        if isinstance(law, ConstantBreakdown)
+        else type(law).__name__
+    )
+    out["breakdown_field_scale"] = float(getattr(law, "scale", 1.0))
+    if scene is None:
+        return out
+    loading = scene.loading
+    if isinstance(loading, ConstantPressure):
+        out["pressure"] = float(loading.pressure)
+    elif isinstance(loading, ConstantVoltage):
+        out["voltage"] = float(loading.voltage)
+    elif isinstance(loading, Chamber):
+        out["chamber_volume"] = float(loading.volume)
+        for name in ("initial_volume", "initial_pressure"):
+            value = getattr(loading, name)
+            if value is not None:
+                out[name] = float(value)
+        out["atmospheric_pressure"] = float(loading.atmospheric_pressure)
+        out["polytropic_exponent"] = float(loading.polytropic_exponent)
+    return out

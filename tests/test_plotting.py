@@ -1,0 +1,270 @@
+"""Figures of synthetic diagrams whose curves are known: what is drawn, where, and in which style."""
+
+import types
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+from dielectric_jax.plotting import (
+    chamber_voltages,
+    plot_chamber,
+    plot_diagram,
+    plot_pressure_volume,
+    plot_voltage_volume,
+)
+from dielectric_jax.records import Branch, Event, SpecialPoint, State
+from dielectric_jax.results import Code
+
+SNAP_Q, DIP_Q = 0.006, -0.002
+
+
+def load(volume):
+    """q(V) = a cubic with its fold at (4, SNAP_Q) and its dip at (12, DIP_Q), and zero at the start near V = 2."""
+    s = (volume - 8) / 4
+    middle, swing = (SNAP_Q + DIP_Q) / 2, (SNAP_Q - DIP_Q) / 2
+    return middle + swing * (s**3 - 3 * s) / 2
+
+
+def state_values(volume, q):
+    return {
+        "voltage_squared": q,
+        "pressure": 1.9 - 0.03 * volume,
+        "volume": volume,
+        "apex_stretch": 1 + volume**0.5,
+        "height": volume**0.3,
+        "charge": np.sqrt(np.maximum(q, 0)) * volume,
+        "breakdown_ratio": np.sqrt(np.maximum(q, 0)) * volume / 1.6,
+        "error_estimate": 1e-11 * np.ones_like(volume),
+    }
+
+
+def branch_of(volume, q, index, **more):
+    values = state_values(volume, q) | more
+    return Branch(**values, index=index, start=Code.window_load, end=Code.lock_up)
+
+
+def state(volume, q, cls=State, index=0, **more):
+    values = {k: float(v) for k, v in state_values(np.float64(volume), np.float64(q)).items()}
+    return cls(**values, index=index, **more)
+
+
+def roots(q):
+    """All V with load(V) = q."""
+    middle, swing = (SNAP_Q + DIP_Q) / 2, (SNAP_Q - DIP_Q) / 2
+    s = np.roots([0.5, 0, -1.5, (middle - q) / swing])
+    return sorted(8 + 4 * s[np.abs(s.imag) < 1e-6].real)
+
+
+def voltage_diagram():
+    volume = np.linspace(0.2, 30.0, 60)
+    index = np.where((volume > 4) & (volume < 12), 1, 0)
+    branches = [branch_of(volume, load(volume), index)]
+    far = np.linspace(15.0, 22.0, 20)
+    branches.append(branch_of(far, 0.009 + (far - 18) ** 2 / 1e4, np.ones(20, int)))
+    landing = roots(SNAP_Q)[-1]
+    points = [
+        state(4.0, SNAP_Q, SpecialPoint, None, kind="fold", branch=0),
+        state(12.0, DIP_Q, SpecialPoint, None, kind="fold", branch=0),
+        *(state(v, 0.0, SpecialPoint, 0, kind="zero_voltage", branch=0) for v in roots(0.0)),
+        state(18.0, 0.009, SpecialPoint, None, kind="fold", branch=1),
+    ]
+    up = [
+        Event("start", "up", state(roots(0.0)[0], 0.0)),
+        Event("snap", "up", state(4.0, SNAP_Q, index=None)),
+        Event("landing", "up", state(landing, SNAP_Q)),
+        Event("breakdown", "up", state(17.6, load(17.6)), "breakdown on the branch"),
+    ]
+    down = [
+        Event("start", "down", state(17.0, load(17.0))),
+        Event("end", "down", state(roots(0.0)[-1], 0.0), "zero voltage"),
+    ]
+    loading = types.SimpleNamespace(pressure=None)
+    return types.SimpleNamespace(
+        kind="voltage-volume",
+        branches=branches,
+        special_points=points,
+        events=tuple(up + down),
+        area_strain=3.0,
+        area_strain_reason="breakdown on the branch",
+        scene=types.SimpleNamespace(loading=loading),
+        complete=True,
+        gas_pressure=lambda v: 1.9 - 0.03 * v,
+    )
+
+
+def pressure_diagram(voltage):
+    volume = np.linspace(0.01, 120.0, 400)
+    pressure = (1 - 10 * voltage**2) * 6 * volume / (1 + volume**1.5) + np.exp((volume - 100) / 10)
+    slope = np.gradient(pressure, volume)
+    peak = int(np.argmax(slope < 0))
+    index = (slope < 0).astype(int)
+    branch = branch_of(volume, np.full_like(volume, voltage**2), index, pressure=pressure)
+    values = {k: float(getattr(branch, k)[peak]) for k in state_values(volume, volume)}
+    fold = SpecialPoint(**values, index=None, kind="fold", branch=0)
+    return types.SimpleNamespace(
+        kind="pressure-volume",
+        branches=[branch],
+        special_points=[fold],
+        events=(),
+        area_strain=None,
+        area_strain_reason=None,
+        scene=None,
+        complete=True,
+        voltage=voltage,
+    )
+
+
+@pytest.fixture(autouse=True)
+def close_figures():
+    yield
+    plt.close("all")
+
+
+def curves_of(ax):
+    """The lines of the branches, apart from markers."""
+    return [line for line in ax.lines if line.get_marker() in ("None", None, "") and len(line.get_xdata()) > 1]
+
+
+def is_dashed(line):
+    return line.get_linestyle() not in ("-", "solid")
+
+
+def test_a_given_ax_is_drawn_on_and_none_makes_one():
+    _, ax = plt.subplots()
+    assert plot_voltage_volume(voltage_diagram(), ax=ax) is ax
+    assert len(curves_of(ax)) > 0
+    before = len(plt.get_fignums())
+    made = plot_voltage_volume(voltage_diagram())
+    assert made is not ax and len(plt.get_fignums()) == before + 1
+
+    _, ax = plt.subplots()
+    assert plot_pressure_volume(pressure_diagram(0.0), ax=ax) is ax
+    assert plot_pressure_volume(pressure_diagram(0.0)) is not ax
+
+
+def test_stable_is_solid_unstable_dashed_and_they_meet_at_the_fold():
+    ax = plot_voltage_volume(voltage_diagram())
+    blue = [line for line in curves_of(ax) if line.get_color() == "#0072B2"]
+    for line in blue:
+        middle = np.mean(line.get_xdata()[[0, -1]])
+        assert is_dashed(line) == (4 < middle < 12)
+    dashed = next(line for line in blue if is_dashed(line))
+    assert dashed.get_xdata()[0] == 4.0
+    assert dashed.get_ydata()[0] == pytest.approx(np.sqrt(SNAP_Q), rel=1e-12)
+
+
+def test_states_no_voltage_reaches_are_left_out_and_the_curve_starts_at_zero():
+    ax = plot_voltage_volume(voltage_diagram())
+    low, high = roots(0.0)[1:]
+    for line in curves_of(ax):
+        x, y = np.asarray(line.get_xdata()), np.asarray(line.get_ydata())
+        drawn = np.isfinite(y)
+        assert np.all(y[drawn] >= 0)
+        if line.get_color() == "#0072B2":
+            assert not np.any((x[drawn] > low + 0.05) & (x[drawn] < high - 0.05))
+    first = curves_of(ax)[0]
+    y = np.asarray(first.get_ydata())
+    start = np.flatnonzero(np.isfinite(y))[0]
+    assert y[start] == pytest.approx(0, abs=1e-9)
+    assert first.get_xdata()[start] == pytest.approx(roots(0.0)[0], abs=0.02)
+
+
+def test_pale_beyond_breakdown():
+    ax = plot_voltage_volume(voltage_diagram())
+    pale = [line for line in curves_of(ax) if line.get_alpha() == 0.35]
+    assert pale
+    for line in pale:
+        inside = np.asarray(line.get_xdata())[1:-1]
+        assert np.all(np.sqrt(load(inside)) * inside / 1.6 >= 0.999) or line.get_color() != "#0072B2"
+
+
+def test_limits_frame_the_ramp_or_everything():
+    diagram = voltage_diagram()
+    right = plot_voltage_volume(diagram).get_xlim()[1]
+    assert 17.6 < right < 30
+    assert plot_voltage_volume(diagram, whole=True).get_xlim()[1] >= 30
+
+
+def test_snap_is_an_arrow_level_in_voltage():
+    ax = plot_voltage_volume(voltage_diagram(), legend=False)
+    assert ax.get_legend() is None
+    arrows = [t for t in ax.texts if getattr(t, "arrow_patch", None) is not None]
+    assert len(arrows) == 1
+    (x0, y0), (x1, y1) = arrows[0].xyann, arrows[0].xy
+    assert 4 < x0 < x1 < roots(SNAP_Q)[-1]
+    assert y0 == y1 == pytest.approx(np.sqrt(SNAP_Q))
+
+
+def test_labels_are_words_with_symbols():
+    ax = plot_voltage_volume(voltage_diagram())
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("Volume V / A³", "Voltage Φ / (H√(μ/ε))")
+    ax = plot_pressure_volume([pressure_diagram(0.0), pressure_diagram(0.1)])
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("Volume V / A³", "Pressure p A / (μH)")
+    words = [t.get_text() for t in ax.get_legend().get_texts()]
+    assert words[:2] == ["Φ = 0", "Φ = 0.1"] and "unstable" in words
+
+
+def test_gas_line_is_the_function_given():
+    ax = plot_pressure_volume(pressure_diagram(0.0), gas_line=lambda v: 1.5 - 0.01 * v)
+    black = next(line for line in ax.lines if line.get_color() == "black" and len(line.get_xdata()) > 50)
+    assert np.allclose(black.get_ydata(), 1.5 - 0.01 * np.asarray(black.get_xdata()), rtol=1e-14)
+    assert is_dashed(black)
+
+
+def test_chamber_figure_has_both_panels_on_one_volume_axis():
+    diagram = voltage_diagram()
+    figure = plot_chamber(diagram, [pressure_diagram(v) for v in chamber_voltages(diagram)])
+    left, right = figure.axes
+    assert left.get_xlim() == right.get_xlim()
+    assert len(plot_diagram(diagram).axes) == 1
+    assert len(plot_diagram(pressure_diagram(0.05)).axes) == 1
+    given = plt.figure()
+    assert plot_diagram(diagram, figure=given) is given
+
+
+def test_constant_pressure_draws_a_level_line():
+    diagram = voltage_diagram()
+    diagram.gas_pressure = lambda v: None
+    diagram.scene.loading.pressure = 1.25
+    left = plot_chamber(diagram, [pressure_diagram(0.0)]).axes[0]
+    black = next(line for line in left.lines if line.get_color() == "black" and len(line.get_xdata()) > 50)
+    assert np.all(np.asarray(black.get_ydata()) == 1.25)
+
+
+def test_chamber_voltages_are_zero_snap_and_end():
+    assert chamber_voltages(voltage_diagram()) == pytest.approx([0.0, np.sqrt(SNAP_Q), np.sqrt(load(17.6))])
+
+
+def test_one_event_and_flat_films_are_drawn():
+    diagram = voltage_diagram()
+    diagram.events = (Event("start", "up", state(roots(0.0)[0], 0.0), "start_unstable"),)
+    plot_voltage_volume(diagram).figure.canvas.draw()
+    q = np.linspace(-0.1, 0.2, 20)
+    flat = branch_of(np.zeros(20), q, np.zeros(20, int))
+    slack = state(0.0, 0.2, SpecialPoint, None, kind="slack", branch=0)
+    diagram.branches, diagram.special_points, diagram.events = [flat], [slack], ()
+    ax = plot_voltage_volume(diagram)
+    ax.figure.canvas.draw()
+    assert ax.get_ylim()[1] > np.sqrt(0.2)
+
+
+def test_no_branch_at_all_is_an_empty_plot():
+    diagram = voltage_diagram()
+    diagram.branches, diagram.special_points, diagram.events = [], [], ()
+    assert curves_of(plot_voltage_volume(diagram)) == []
+
+
+def test_the_wrong_kind_is_refused():
+    with pytest.raises(ValueError, match=r"must be of kind 'voltage-volume', but is of kind 'pressure-volume'"):
+        plot_voltage_volume(pressure_diagram(0.0))
+    with pytest.raises(ValueError, match=r"must be of kind 'pressure-volume'"):
+        plot_pressure_volume(voltage_diagram())
+    with pytest.raises(ValueError, match="at least one diagram"):
+        plot_pressure_volume([])
+    with pytest.raises(ValueError, match="`curves` must be empty"):
+        plot_diagram(pressure_diagram(0.0), [pressure_diagram(0.1)])

@@ -1,0 +1,75 @@
+"""A room (module) of the package imports only rooms listed above it."""
+
+import ast
+import pathlib
+
+import pytest
+
+ROOMS = [
+    "results",
+    "records",
+    "materials",
+    "membrane",
+    "loading",
+    "scene",
+    "shooting",
+    "equilibria",
+    "chart",
+    "continuation",
+    "stability",
+    "critical",
+    "drawing",
+    "plotting",
+    "diagram",
+    "arguments",
+    "cli",
+]
+PACKAGE = pathlib.Path(__file__).parent.parent / "dielectric_jax"
+
+
+def imported_rooms(source):
+    """The rooms that a module's source imports anywhere, also inside functions; "" is the package itself."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.ImportFrom):
+            module = node.module or ""
+            if node.level == 0 and module.split(".")[0] != "dielectric_jax":
+                continue
+            room = module if node.level else module.partition(".")[2]
+            yield from [room.split(".")[0]] if room else [a.name for a in node.names]
+        elif isinstance(node, ast.Import):
+            for alias in node.names:
+                package, _, room = alias.name.partition(".")
+                if package == "dielectric_jax":
+                    yield room.split(".")[0]
+
+
+def test_every_module_is_a_room_in_the_order():
+    assert {p.stem for p in PACKAGE.glob("*.py")} - {"__init__"} == set(ROOMS)
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_a_room_imports_only_rooms_above_it(room):
+    above = ROOMS[: ROOMS.index(room)]
+    # the command line stands on the package as a user sees it
+    allowed = {*above, ""} if room == "cli" else set(above)
+    source = (PACKAGE / f"{room}.py").read_text(encoding="utf-8")
+    assert set(imported_rooms(source)) <= allowed
+
+
+def test_the_reader_of_imports_sees_every_form():
+    source = """
+import numpy, dielectric_jax
+import dielectric_jax.chart as c
+from dielectric_jax import scene
+from dielectric_jax.loading import Chamber
+from . import records
+def f():
+    from .results import Code
+    from jax import numpy
+"""
+    assert sorted(imported_rooms(source)) == ["", "chart", "loading", "records", "results", "scene"]
+
+
+def test_no_room_outgrows_400_lines():
+    lengths = {p.name: len(p.read_text(encoding="utf-8").splitlines()) for p in PACKAGE.glob("*.py")}
+    assert {name: n for name, n in lengths.items() if n > 400} == {}
