@@ -22,6 +22,7 @@ _ROOMS = {
     "loading": ("Chamber", "ConstantPressure", "ConstantVoltage"),
     "scene": ("PARAMETERS", "Scene", "Window", "describe"),
     "shooting": ("shoot",),
+    "profiles": ("energy", "profile", "scaling_defect"),
     "chart": ("explicit_map",),
     "continuation": ("Steps", "Trace", "trace"),
     "diagram": ("Diagram", "equilibrium", "pressure_volume", "voltage_volume"),
@@ -48,6 +49,7 @@ if typing.TYPE_CHECKING:
         stresses,
     )
     from .membrane import Membrane, Profile
+    from .profiles import energy, profile, scaling_defect
     from .records import Branch, Event, Ramp, SpecialPoint, State
     from .results import Code, SceneError
     from .scene import PARAMETERS, Scene, Window, describe

@@ -22,14 +22,17 @@ from .materials import largest_load
 from .membrane import Membrane
 from .results import Code
 from .scene import SCANNED_LOAD
-from .shooting import shoot
+from .shooting import rim_with_columns
 
 __all__ = ["Curve", "find_curves"]
 
 _LANES = 8
-_STEPS = Steps(first=0.05, largest=1.0, smallest=2e-4, most_turn=0.35, most_correction=0.2, tolerance=1e-5)
-_TRACE_STEPS = (18.0, 72.0)  # grids of the continuation: the usual one, and where an inner layer forms
+_STEPS = Steps(first=0.05, largest=1.0, smallest=5e-4, most_turn=0.35, most_correction=0.2, tolerance=1e-5)
+_TRACE_STEPS = (16.0, 44.0)  # grids of the continuation: the usual one, and where an inner layer forms
+_TOP_NEAR_LOCK_UP = 0.94
 _MOST_TURN = 0.3
+_CONE_WEIGHT = 2.0
+_MOST_APPROACH = 0.15  # change of log(1 − t) between neighbours; folds near the cone are about 1.2 apart
 
 
 @dataclasses.dataclass
@@ -45,10 +48,17 @@ class Curve:
 
 @functools.partial(jax.jit, static_argnames="steps")
 def _trace_program(material, prestretch, contour, limits, seeds, directions, active, accuracy, steps):
-    def residual(u, args):
+    def linearise(u, args):
         material, prestretch, contour, accuracy = args
-        rim = shoot(material, u[0], u[1], u[2], steps=accuracy)
-        return jnp.stack([rim.lag - (prestretch - u[0]), contour.residual(u[1], rim.volume, u[2])])
+        lag, volume, columns = rim_with_columns(material, u, accuracy)
+        by_p, by_v, by_q = contour.slopes(volume)
+        rim = columns[:, 0].at[0].add(1.0)
+        condition = by_v * columns[:, 1] + jnp.stack([jnp.zeros_like(by_p), by_p, by_q])
+        value = jnp.stack([lag - (prestretch - u[0]), contour.residual(u[1], volume, u[2])])
+        return value, jnp.stack([rim, condition])
+
+    def residual(u, args):
+        return linearise(u, args)[0]
 
     def margins(u, args):
         fraction = u[2] / largest_load(args[0], u[0])
@@ -56,7 +66,9 @@ def _trace_program(material, prestretch, contour, limits, seeds, directions, act
         resolved = jnp.where(
             args[3] >= _TRACE_STEPS[1], 1.0, jnp.maximum(jnp.minimum(0.93 - fraction, limits[4] - u[0]), 0.72 - fraction)
         )
-        box = [u[0] - limits[0], limits[1] - u[0], fraction - limits[2], limits[3] - fraction, u[1] + 1e-3]
+        # towards lock-up no grid resolves the membrane much beyond the scanned loads
+        top = jnp.where(u[0] < limits[4], limits[3], jnp.minimum(limits[3], _TOP_NEAR_LOCK_UP))
+        box = [u[0] - limits[0], limits[1] - u[0], fraction - limits[2], limits[3] - fraction, top - fraction]
         return jnp.stack([*box, resolved])
 
     codes = (
@@ -78,6 +90,8 @@ def _trace_program(material, prestretch, contour, limits, seeds, directions, act
             margins=margins,
             codes=codes,
             steps=steps,
+            linearise=linearise,
+            monitors=lambda u, args: jnp.log(jnp.maximum(1 - u[2] / largest_load(args[0], u[0]), 1e-6)),
             active=active,
         )
 
@@ -159,13 +173,29 @@ def hermite(x0, x1, t0, t1, length, share):
     return c * c * (1 + 2 * s) * x0 + s * c * c * length * t0 + s * s * (3 - 2 * s) * x1 - s * s * c * length * t1
 
 
-def _resample(line, tangents, count, code_start, code_end):
-    """`count` stations of equal arclength on the traced points: predictions (count, 3) and plane normals, scaled."""
+def _cone_measure(membrane, line) -> np.ndarray:
+    """−log(1 − t): it counts the folds that accumulate towards the cone at the apex."""
+    fraction = line[:, 2] * SCALE[2] / np.asarray(_on_points(membrane.material, line[:, 0]))
+    return -_CONE_WEIGHT * np.log(np.maximum(1 - fraction, 1e-6))
+
+
+def _on_points(material, apex) -> np.ndarray:
+    """q_max(λa) of any number of points through one compiled shape."""
+    padded = np.pad(apex, (0, -len(apex) % 512), mode="edge")
+    parts = [np.asarray(_limit(material, padded[i : i + 512])) for i in range(0, len(padded), 512)]
+    return np.concatenate(parts)[: len(apex)]
+
+
+def _resample(membrane, line, tangents, count):
+    """`count` stations on the traced points: predictions (count, 3) and plane normals, scaled.
+
+    They are equally spaced in the arclength, stretched where the apex sharpens to a cone.
+    """
     gap = np.linalg.norm(np.diff(line, axis=0), axis=1)
-    arc = np.concatenate([[0.0], np.cumsum(gap)])
-    s = np.linspace(0.0, arc[-1], count)
-    i = np.clip(np.searchsorted(arc, s, side="right") - 1, 0, len(gap) - 1)
-    share = ((s - arc[i]) / gap[i])[:, None]
+    measure = np.concatenate([[0.0], np.cumsum(np.hypot(gap, np.diff(_cone_measure(membrane, line))))])
+    s = np.linspace(0.0, measure[-1], count)
+    i = np.clip(np.searchsorted(measure, s, side="right") - 1, 0, len(gap) - 1)
+    share = ((s - measure[i]) / (measure[i + 1] - measure[i]))[:, None]
     at = hermite(line[i], line[i + 1], tangents[i], tangents[i + 1], gap[i][:, None], share)
     normal = (1 - share) * tangents[i] + share * tangents[i + 1]
     return at, normal / np.linalg.norm(normal, axis=1, keepdims=True)
@@ -190,35 +220,35 @@ def _clip_to_window(line, tangents, inside, end):
 
 def _exact_curve(membrane, contour, line, tangents, codes, count, tolerance, limits) -> Curve | None:
     """The traced branch as exact points: stations, Newton, refinement where the tangent turns, honest ends."""
-    at, normal = _resample(line, tangents, count, *codes)
+    at, normal = _resample(membrane, line, tangents, count)
     target = (normal * at).sum(axis=1)
     points = polish(membrane, contour, (at * SCALE).T, normal / SCALE, target, tolerance=tolerance, reach=0.5)
     points.tangent = points.tangent * np.where((points.tangent * normal).sum(axis=1) < 0, -1.0, 1.0)[:, None]
-    good = points.ok & (points.error <= tolerance)
-    if not good.any():
+    good = np.flatnonzero(points.ok & (points.error <= tolerance))
+    if len(good) < 2:
         return None
     codes = list(codes)
-    flags = []
     # beyond the scanned loads a branch is followed only as far as its error estimate allows
-    keep = np.ones(len(points), bool)
-    for end, order in ((0, range(len(points))), (1, range(len(points) - 1, -1, -1))):
-        for i in order:
-            if good[i]:
-                break
-            keep[i] = False
-            codes[end] = Code.apex_cone if at[i, 2] > 0 else Code.not_converged
-    keep &= points.ok
-    if not good[keep].all():
-        flags.append("error_above_tolerance")
-    if not points.ok[np.flatnonzero(good)[0] : np.flatnonzero(good)[-1]].all():
-        flags.append("points_lost")
-    points = points.take(np.flatnonzero(keep))
+    for end, lost in ((0, good[0] > 0), (1, good[-1] < len(points) - 1)):
+        if lost:
+            codes[end] = Code.apex_cone
+    points, gaps = points.take(good), np.flatnonzero(np.diff(good) > 1)
+    flags = []
+    if len(gaps):  # lanes that Newton lost between good ones: once more, from better starts
+        before = len(points)
+        points = _insert(membrane, contour, points, gaps, tolerance)
+        if len(points) < before + len(gaps):
+            flags.append("points_lost")
     for _ in range(4):
         turn = (points.tangent[1:] * points.tangent[:-1]).sum(axis=1)
-        wide = np.flatnonzero(turn < np.cos(_MOST_TURN))
-        if not len(wide) or len(points) < 2 or len(points) > 4 * count:
+        approach = np.abs(np.diff(_cone_measure(membrane, scaled(points.u.T)))) / _CONE_WEIGHT
+        wide = np.flatnonzero((turn < np.cos(_MOST_TURN)) | (approach > _MOST_APPROACH))
+        if not len(wide) or len(points) > 4 * count:
             break
+        before = len(points)
         points = _insert(membrane, contour, points, wide, tolerance)
+        if len(points) == before:
+            break
     gap = np.linalg.norm(np.diff(scaled(points.u.T), axis=0), axis=1)
     return Curve(points, np.concatenate([[0.0], np.cumsum(gap)]), codes[0], codes[1], tuple(flags))
 
@@ -244,8 +274,9 @@ def solve_between(membrane, contour, points, i, share, **options) -> Points:
 def _insert(membrane, contour, points, wide, tolerance) -> Points:
     """Points with the middles of the intervals `wide` added where Newton finds them."""
     middle = solve_between(membrane, contour, points, wide, np.full(len(wide), 0.5), tolerance=tolerance)
-    place = np.concatenate([np.arange(len(points)), wide[middle.ok] + 0.5])
-    joined = Points.join([points, middle.take(np.flatnonzero(middle.ok))])
+    good = np.flatnonzero(middle.ok & (middle.error <= tolerance))
+    place = np.concatenate([np.arange(len(points)), wide[good] + 0.5])
+    joined = Points.join([points, middle.take(good)])
     return joined.take(np.argsort(place, kind="stable"))
 
 

@@ -1,13 +1,14 @@
 """Pseudo-arclength continuation of residual(u, args) = 0 with n − 1 equations for n unknowns; knows no membrane.
 
-Predictor: along the unit tangent (null vector of the exact Jacobian, in scaled unknowns). Corrector: Newton on the
+Predictor: along the unit tangent (null vector of the exact Jacobian, in scaled unknowns), bent as between the last two. Corrector: Newton on the
 residual bordered with the hyperplane through the prediction. The loop is flat, one linearisation a pass, so that
 lanes under `vmap` never wait for another lane's Newton; a lane that has ended changes nothing.
 
 A step is accepted when the remainder of Newton (the square of the last correction) is below the tolerance, Newton
 contracted, and the tangent turned by less than the largest turn; else it is halved. The turn bound is what keeps folds
 from being stepped over: two folds on one step turn the tangent out of and back into one direction, so the middle
-differs, and the middle is seen by the mismatch of prediction and correction, bounded by `most_correction`.
+differs, and the middle is seen by the mismatch of prediction and correction, bounded by `most_correction`. Where folds
+accumulate towards a point without the tangent turning much, a monitor bounds the step by the distance to that point.
 """
 
 import dataclasses
@@ -29,7 +30,7 @@ class Steps:
 
     Argument `most_points` bounds the points a lane may hold (a shape, so it is compiled in); `largest`, `smallest` and
     `first` bound the step length, `most_turn` the angle between tangents of neighbours in radians, `most_correction` the
-    distance between prediction and corrected point as a fraction of the step.
+    distance between prediction and corrected point as a fraction of the step, `most_change` the change of a monitor.
     """
 
     first: float = 0.1
@@ -37,11 +38,12 @@ class Steps:
     smallest: float = 1e-7
     most_turn: float = 0.35
     most_correction: float = 0.15
+    most_change: float = 0.4
     tolerance: float = 1e-6
     most_points: int = 400
 
     def __post_init__(self):
-        for name in ("first", "largest", "smallest", "most_turn", "most_correction", "tolerance", "most_points"):
+        for name in ("first", "largest", "smallest", "most_turn", "most_correction", "most_change", "tolerance", "most_points"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"`{name}` must be positive, but is {getattr(self, name)!r}.")
         if not self.most_turn <= 1.0:
@@ -74,12 +76,15 @@ def trace(
     margins: Callable,
     codes: tuple[Code, ...],
     steps: Steps = Steps(),
+    linearise: Callable | None = None,
+    monitors: Callable | None = None,
     active: typing.Any = True,
 ) -> Trace:
     """Follows the curve through `start` on the side of `direction` until a margin turns negative or it closes.
 
     `margins(u, args)` returns one number for each of `codes`, positive inside the box; both sides of every variable
-    belong in it. `start` need only be near the curve. `active=False` ends the lane at once (padding). Under `jax.vmap`
+    belong in it. `linearise(u, args)` gives value and Jacobian where a cheaper way than jacfwd of `residual` is known. `monitors(u, args)` returns quantities that may change by at most
+    `most_change` a step, such as the logarithm of the distance to a point at which folds accumulate. `start` need only be near the curve. `active=False` ends the lane at once (padding). Under `jax.vmap`
     every lane has its own step.
 
     >>> import jax.numpy as jnp
@@ -92,17 +97,20 @@ def trace(
     n = start.shape[0]
     start = jnp.asarray(start, float)
 
-    def linearise(v):
-        def scaled(v):
-            return residual(v * scale, args)
+    def linear(v):
+        if linearise is not None:
+            value, jacobian = linearise(v * scale, args)
+            return value, jacobian * scale
 
-        # one pass for value and Jacobian
         def both(v):
-            value = scaled(v)
+            value = residual(v * scale, args)
             return value, value
 
         jacobian, value = jax.jacfwd(both, has_aux=True)(v)
         return value, jacobian
+
+    def watch(v):
+        return jnp.atleast_1d(monitors(v * scale, args)) if monitors is not None else jnp.zeros(1)
 
     border = jnp.zeros(n).at[-1].set(1.0)
     begin = start / scale
@@ -119,6 +127,8 @@ def trace(
     initial = dict(
         base=begin,
         tangent=heading,
+        bend=jnp.zeros(n),
+        watched=watch(begin),
         step=jnp.asarray(0.0),
         trial=begin,
         last=jnp.asarray(jnp.inf),
@@ -135,8 +145,8 @@ def trace(
 
     def body(s):
         first = s["count"] == 0
-        anchor = s["base"] + s["step"] * s["tangent"]
-        value, jacobian = linearise(s["trial"])
+        anchor = s["base"] + s["step"] * s["tangent"] + s["step"] ** 2 / 2 * s["bend"]
+        value, jacobian = linear(s["trial"])
         move, tangent = newton(s["trial"], value, jacobian, s["tangent"], anchor)
         size = jnp.linalg.norm(move)
         tangent = tangent * jnp.where(tangent @ s["tangent"] < 0, -1.0, 1.0)
@@ -144,7 +154,9 @@ def trace(
         settled = size**2 <= steps.tolerance
         turn = jnp.arccos(jnp.clip(tangent @ s["tangent"], -1.0, 1.0))
         offset = jnp.linalg.norm(corrected - anchor)
-        straight = first | ((turn <= steps.most_turn) & (offset <= steps.most_correction * s["step"]))
+        change = jnp.max(jnp.abs(watch(corrected) - s["watched"]))
+        change = jnp.where(jnp.isfinite(change), change, jnp.inf)
+        straight = first | ((change <= steps.most_change) & (turn <= steps.most_turn) & (offset <= steps.most_correction * s["step"]))
         finite = jnp.all(jnp.isfinite(corrected)) & jnp.all(jnp.isfinite(tangent))
         accept = finite & settled & straight
         failing = ~finite | (settled & ~straight) | (size > 0.5 * s["last"]) | (s["tries"] >= 6)
@@ -169,12 +181,16 @@ def trace(
         count = s["count"] + accept
 
         ease = jnp.minimum(0.5 * steps.most_turn / (turn + 1e-12), 0.5 * steps.most_correction * s["step"] / (offset + 1e-300))
+        ease = jnp.minimum(ease, (0.6 * steps.most_change / (change + 1e-12)) ** 2)
         grown = jnp.clip(s["step"] * jnp.clip(jnp.sqrt(ease), 0.5, 2.0), steps.smallest, steps.largest)
         step = jnp.where(accept, jnp.where(first, steps.first, grown), jnp.where(failing, 0.5 * s["step"], s["step"]))
         base = jnp.where(accept, corrected, s["base"])
         ahead = jnp.where(accept, tangent, s["tangent"])
+        # dt/ds from the last two tangents; no bend from a step that was never taken
+        bend = (tangent - s["tangent"]) / jnp.where(first, jnp.inf, jnp.linalg.norm(corrected - s["base"]))
+        bend = jnp.where(accept, jnp.where(jnp.all(jnp.isfinite(bend)), bend, 0.0), s["bend"])
         restart = accept | failing
-        trial = jnp.where(restart, base + step * ahead, corrected)
+        trial = jnp.where(restart, base + step * ahead + step**2 / 2 * bend, corrected)
 
         code = jnp.asarray(int(Code.ok))
         code = jnp.where(count >= steps.most_points, int(Code.too_many_points), code)
@@ -184,6 +200,8 @@ def trace(
         new = dict(
             base=base,
             tangent=ahead,
+            bend=bend,
+            watched=jnp.where(accept, watch(corrected), s["watched"]),
             step=step,
             trial=trial,
             last=jnp.where(restart, jnp.inf, size),

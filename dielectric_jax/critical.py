@@ -10,9 +10,14 @@ import dataclasses
 import numpy as np
 
 from .branches import Curve, between, hermite, scaled, solve_between
-from .equilibria import Points
+from .equilibria import SCALE, Points, polish
 
 __all__ = ["Located", "fold_events", "locate", "special_points"]
+
+
+_QUICK_ROUNDS, _ROUNDS = 2, 10
+_PROFILE_STEPS = 300.0
+_CLOSE, _EXACT = 1e-7, 1e-10  # changes of the share of an interval at which a root is close, and done
 
 
 @dataclasses.dataclass
@@ -83,7 +88,64 @@ def brackets(curve: Curve, kind: str, target: float = 0.0) -> np.ndarray:
 
 
 def locate(membrane, contour, curves: list[Curve], wanted: list[tuple], tolerance: float) -> list[Located]:
-    """Roots for `wanted` = (kind, branch, interval, target), advanced together; those that fail are left out."""
+    """Roots for `wanted` = (kind, branch, interval, target); those that fail are left out.
+
+    A given load is a row of Newton's system and takes one solve; the other events, and a load that this fails for, take
+    the secant method. All lanes advance together.
+    """
+    linear = [w for w in wanted if w[0] in ("zero_voltage", "load")]
+    found, missed = _locate_loads(membrane, contour, curves, linear, tolerance)
+    return found + _locate_roots(
+        membrane, contour, curves, [w for w in wanted if w not in linear] + missed, tolerance
+    )
+
+
+def _hermite_roots(x0, x1, t0, t1, gap, target) -> np.ndarray:
+    """Share of each interval at which the cubic Hermite interpolant takes the target between its ends; by bisection."""
+    low, high = np.zeros_like(x0), np.ones_like(x0)
+    sign = np.where(x0 < target, 1.0, -1.0)
+    for _ in range(40):
+        middle = (low + high) / 2
+        below = (hermite(x0, x1, t0, t1, gap, middle) - target) * sign < 0
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    return (low + high) / 2
+
+
+def _quadratic_root(c0, c1, c2, default) -> np.ndarray:
+    """The root in (0, 1) of c0 + c1 s + c2 s², or the default where there is none."""
+    with np.errstate(all="ignore"):
+        q = -(c1 + np.where(c1 >= 0, 1, -1) * np.sqrt(c1 * c1 - 4 * c0 * c2)) / 2
+        roots = np.stack([q / c2, c0 / q])
+        inside = np.isfinite(roots) & (roots > 0) & (roots < 1)
+    return np.where(inside[0], roots[0], np.where(inside[1], roots[1], default))
+
+
+def _locate_loads(membrane, contour, curves, wanted, tolerance):
+    """States at given loads by one Newton solve each; and the wanted ones it failed for."""
+    if not wanted:
+        return [], []
+    ends = Points.join([curves[b].points.take(np.array([i, i + 1])) for _, b, i, _ in wanted])
+    first = 2 * np.arange(len(wanted))
+    x, t = scaled(ends.u.T), ends.tangent
+    gap = np.linalg.norm(x[first + 1] - x[first], axis=1)
+    target = np.array([w[3] for w in wanted])
+    share = _hermite_roots(x[first, 2], x[first + 1, 2], t[first, 2], t[first + 1, 2], gap, target / SCALE[2])
+    at, normal, _ = between(ends, first, share)
+    rows = np.tile([0.0, 0.0, 1.0], (len(wanted), 1))
+    points = polish(membrane, contour, (at * SCALE).T, rows, target, tolerance=tolerance / 4, reach=0.5)
+    points.tangent = points.tangent * np.where((points.tangent * normal).sum(axis=1) < 0, -1.0, 1.0)[:, None]
+    along = (normal * (scaled(points.u.T) - x[first])).sum(axis=1)
+    ok = points.ok & (along > -1e-6) & (along < gap + 1e-6) & (points.error <= tolerance)
+    found = [
+        Located(kind, b, float(curves[b].position[i] + along[n]), points.take(np.array([n])), float(points.error[n]))
+        for n, (kind, b, i, _) in enumerate(wanted)
+        if ok[n]
+    ]
+    return found, [w for n, w in enumerate(wanted) if not ok[n]]
+
+
+def _locate_roots(membrane, contour, curves, wanted, tolerance) -> list[Located]:
+    """Roots of event functions by a secant method that keeps its brackets."""
     if not wanted:
         return []
     chord_points = Points.join([curves[b].points.take(np.array([i, i + 1])) for _, b, i, _ in wanted])
@@ -95,44 +157,74 @@ def locate(membrane, contour, curves: list[Curve], wanted: list[tuple], toleranc
 
     low, high = np.zeros(len(wanted)), np.ones(len(wanted))
     f_low, f_high = values(chord_points.take(ends)), values(chord_points.take(ends + 1))
-    share = low - f_low * (high - low) / (f_high - f_low)
-    older = None
+    share = -f_low / (f_high - f_low)
+    x, t = scaled(chord_points.u.T), chord_points.tangent
+    chords = np.linalg.norm(x[ends + 1] - x[ends], axis=1)
+    for kind, column in (("fold", 2), ("pressure_fold", 1)):
+        # the extremum of the Hermite cubic of q (or p): a quadratic's root
+        which = np.array([w[0] == kind for w in wanted])
+        if which.any():
+            a, b = ends[which], ends[which] + 1
+            rise, d0, d1 = (x[b] - x[a])[:, column] / chords[which], t[a, column], t[b, column]
+            share[which] = _quadratic_root(d0, 6 * rise - 4 * d0 - 2 * d1, 3 * (d0 + d1 - 2 * rise), share[which])
+    last_share = np.full(len(wanted), np.nan)
+    last_f = np.full(len(wanted), np.nan)
     change = np.full(len(wanted), np.inf)
-    found: Points | None = None
-    for round_ in range(12):
-        quick = round_ < 3
-        found = solve_between(membrane, contour, chord_points, ends, share, tolerance=tolerance / 4, quick=quick)
-        f = values(found)
-        # keep the bracket, unless the trial sits on the root to rounding
-        below = (f < 0) == (f_low < 0)
-        bad = ~np.isfinite(f)
-        low, f_low = np.where(below & ~bad, share, low), np.where(below & ~bad, f, f_low)
-        high, f_high = np.where(~below & ~bad, share, high), np.where(~below & ~bad, f, f_high)
+    slopes = np.full(len(wanted), np.nan)
+    results: list[Points | None] = [None] * len(wanted)
+    active = lanes
+    for round_ in range(_ROUNDS):
+        quick = round_ < _QUICK_ROUNDS
+        # an extreme inside the membrane is a minimum over nodes: it needs a fine grid of its own
+        hoop = any(wanted[n][0] == "hoop_tension_loss" for n in active)
+        found = solve_between(
+            membrane,
+            contour,
+            chord_points,
+            ends[active],
+            share[active],
+            tolerance=tolerance / 4,
+            quick=quick,
+            refine=not quick,
+            profile_steps=_PROFILE_STEPS if hoop and not quick else 0.0,
+        )
+        f = np.array(
+            [event_values(wanted[n][0], found.take(np.array([k])), wanted[n][3])[0] for k, n in enumerate(active)]
+        )
+        at = share[active]
+        below = ((f < 0) == (f_low[active] < 0)) & np.isfinite(f)
+        above = ~below & np.isfinite(f)
+        low[active[below]], f_low[active[below]] = at[below], f[below]
+        high[active[above]], f_high[active[above]] = at[above], f[above]
         with np.errstate(all="ignore"):
-            if older is None:
-                slope = (f_high - f_low) / (high - low)
-            else:
-                slope = (f - older[1]) / (share - older[0])
-            new = share - f / slope
-            inside = np.isfinite(new) & (new > low - 1e-6) & (new < high + 1e-6)
-        new = np.where(inside, new, (low + high) / 2)
-        change = np.abs(new - share)
-        older = (share, f)
-        if not quick and (change < 1e-11).all():
-            break
-        if round_ >= 4 and (change < 1e-9).all():
-            break
-        # a trial equal to the last one would make the next slope 0/0
-        share = np.where(change < 1e-13, share + 1e-9, new) if round_ < 3 else np.where(change < 1e-12, share, new)
-        if not quick and (share == older[0]).all():
-            break
-    assert found is not None
-    _, _, target = between(chord_points, ends, share)
-    del target
+            # values of the coarse and the fine grid differ: their secants do not mix
+            fresh = np.isnan(last_f[active]) | (round_ == _QUICK_ROUNDS)
+            chord = (f_high - f_low)[active] / (high - low)[active]
+            secant = (f - last_f[active]) / (at - last_share[active])
+            slope = np.where(np.isfinite(secant) & (secant != 0) & ~fresh, secant, np.where(fresh, slopes[active], chord) if round_ else chord)
+            new = at - f / slope
+            slopes[active] = slope
+        good = np.isfinite(new) & (new > -0.05) & (new < 1.05)
+        new = np.where(good, new, (low[active] + high[active]) / 2)
+        change[active] = np.abs(new - at)
+        last_share[active], last_f[active] = at, f
+        for k, n in enumerate(active):
+            results[n] = found.take(np.array([k]))
+        done = change[active] < (_CLOSE if quick else _EXACT)
+        if quick:
+            share[active] = new
+            if round_ == _QUICK_ROUNDS - 1 or done.all():
+                continue
+        else:
+            active, new = active[~done], new[~done]
+            if not len(active):
+                break
+            share[active] = new
     gap = np.linalg.norm(np.diff(scaled(chord_points.u.T), axis=0), axis=1)[ends]
     out = []
     for n, (kind, branch, i, _) in enumerate(wanted):
-        point = found.take(np.array([n]))
+        point = results[n]
+        assert point is not None
         if not point.ok[0] or not change[n] < 1e-5:
             continue
         # what the remaining step along the branch would change in the located quantity

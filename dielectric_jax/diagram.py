@@ -11,11 +11,11 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from .branches import Curve, find_curves, hermite, scaled
+from .branches import Curve, cached_scan, find_curves
 from .critical import Located, brackets, fold_events, locate, special_points
 from .equilibria import Points, polish
 from .loading import Chamber, ConstantPressure, ConstantVoltage, Contour
-from .materials import is_concrete
+from .materials import is_concrete, largest_load
 from .membrane import Membrane, require_float64
 from .ramp import build_ramp, build_way_back
 from .records import Branch, Ramp, SpecialPoint, State, plain, voltage_of
@@ -180,6 +180,8 @@ def _special(located: Located, tolerance: float) -> SpecialPoint:
     values = {f: getattr(state, f) for f in State.__dataclass_fields__}
     values["index"] = None if kind == "fold" else state.index
     values["error_estimate"] = located.error
+    if kind == "zero_voltage":
+        values |= {"voltage_squared": 0.0, "charge": 0.0, "breakdown_ratio": 0.0}
     values["flags"] = ("error_above_tolerance",) if not located.error <= tolerance else ()
     return SpecialPoint(**values, kind=kind, branch=located.branch, position=located.position)
 
@@ -309,33 +311,54 @@ def _filling(scene: Scene, tolerance: float) -> tuple[float | None, float | None
         return None, None
     name = "initial_volume" if loading.initial_volume is not None else "initial_pressure"
     wanted = float(getattr(loading, name))
-    try:
-        state = equilibrium(membrane, voltage=0.0, tolerance=tolerance, **{name.removeprefix("initial_"): wanted})
-    except (SceneError, ValueError) as error:
-        most, least = _reach(membrane, name.removeprefix("initial_"))
+    state = _filled_state(membrane, name.removeprefix("initial_"), wanted, tolerance)
+    if state is None:
+        most = _reach(membrane, name.removeprefix("initial_"))
         raise ValueError(
-            f"`{name}` must lie between {least:.6g} and {most:.6g}, what the membrane reaches at zero voltage up to its "
-            f"lock-up, but is {wanted!r}."
-        ) from error
-    assert isinstance(state, State)
+            f"`{name}` must lie between 0 and {most:.6g}, what the membrane reaches at zero voltage up to its lock-up, "
+            f"but is {wanted!r}."
+        )
     return (state.pressure, wanted) if name == "initial_volume" else (wanted, state.volume)
 
 
-def _reach(membrane: Membrane, quantity: str) -> tuple[float, float]:
-    from .branches import cached_scan
-
+def _zero_load_line(membrane: Membrane):
+    """λa, p and V of the scan at its load nearest to zero: starts for Newton at zero voltage."""
     limits = Scene(membrane, ConstantVoltage(0.0)).limits()
     chart = cached_scan(membrane, limits[0], limits[2])
     j = int(np.argmin(np.abs(chart.load_fraction)))
-    values = getattr(chart, quantity)[:, j]
-    return float(np.nanmax(values)), 0.0
+    return chart.apex_stretch, chart.pressure[:, j], chart.volume[:, j]
+
+
+def _filled_state(membrane: Membrane, quantity: str, wanted: float, tolerance: float) -> State | None:
+    """The state of smallest volume at zero voltage with the wanted pressure or volume."""
+    apex, pressure, volume = _zero_load_line(membrane)
+    value = np.log((pressure if quantity == "pressure" else volume) / wanted)
+    crossing = np.flatnonzero(value[:-1] * value[1:] <= 0)
+    if len(crossing):
+        i = int(crossing[0])
+        s = value[i] / (value[i] - value[i + 1])
+        guess = [[apex[i] + s * (apex[i + 1] - apex[i])], [pressure[i] + s * (pressure[i + 1] - pressure[i])], [0.0]]
+        row = [[np.nan] * 3] if quantity == "volume" else [[0.0, 1.0, 0.0]]
+        contour = ConstantVoltage(0.0).contour()
+        found = polish(membrane, contour, np.array(guess), np.array(row), np.array([wanted]), tolerance=tolerance / 4)
+        if found.ok[0] and found.error[0] <= tolerance:
+            return states_of(found, tolerance)[0]
+    try:  # near the peak of the pressure, or at the window's edge: the fine search
+        return equilibrium(membrane, voltage=0.0, tolerance=tolerance, **{quantity: wanted})
+    except SceneError:
+        return None
+
+
+def _reach(membrane: Membrane, quantity: str) -> float:
+    _, pressure, volume = _zero_load_line(membrane)
+    return float(np.nanmax(pressure if quantity == "pressure" else volume))
 
 
 def _flat_diagram(scene: Scene, limits, points: int, tolerance: float) -> Diagram:
     """λ0 > 1 without pressure: one flat branch from the load window to the load at which the film goes slack."""
     membrane = scene.membrane
     stretch = float(membrane.prestretch)
-    slack = float(membrane.largest_load(stretch))
+    slack = float(largest_load(membrane.material, stretch))
     low, high = limits[2]
     loads = np.linspace(low, min(high, 1.0), points) * slack
     states = [_flat_state(membrane, float(q)) for q in loads]
@@ -423,7 +446,7 @@ def _flat_equilibrium(membrane: Membrane, voltage: float, every: bool):
     stretch = float(membrane.prestretch)
     if stretch == 1.0:
         raise SceneError(Code.flat_unstretched)
-    if voltage**2 > float(membrane.largest_load(stretch)):
+    if voltage**2 > float(largest_load(membrane.material, stretch)):
         raise SceneError(Code.no_equilibrium, "The flat film is slack at this voltage.")
     state = _flat_state(membrane, voltage**2)
     return [state] if every else state
@@ -446,7 +469,7 @@ def _starts(membrane, q, name, wanted, limits) -> np.ndarray:
     apex = np.minimum(prestretch + (high - prestretch) * share, high)
     if name == "apex_stretch":
         apex = np.sort(np.append(apex, wanted))
-    fraction = q / np.asarray(membrane.largest_load(apex))
+    fraction = q / np.asarray(largest_load(membrane.material, apex))
     top = min(loads[1], 0.97)
     inside = (fraction <= top) & (fraction >= loads[0])
     if not inside.any():

@@ -20,14 +20,15 @@ import numpy as np
 from .loading import Contour
 from .materials import largest_load, stresses
 from .membrane import Membrane, field_ratio_squared, slopes
+from .scene import SCANNED_LOAD
 from .shooting import COLUMNS, integrate_membrane
 
 __all__ = ["Points", "polish"]
 
-CHUNK = 64  # lanes of one call; one compiled program serves every count of points
+CHUNK = 32  # lanes of one call; one compiled program serves every count of points
 SCALE = np.array([1.0, 0.2, 0.02])  # of (λa, p, q)
 EASY = (16.0, 32.0, 64.0)  # steps: of Newton, then of the residual
-HARD = (64.0, 128.0, 256.0, 512.0)  # where an inner layer forms: a high load near lock-up, or near the cone
+HARD = (48.0, 96.0, 192.0, 320.0)  # where an inner layer forms: a high load near lock-up, or near the cone
 ADAPTIVE = (10.0, 12.0)  # exponents of the tolerance of the careful path
 SAFETY = 16.0
 LEAST_ESTIMATE = 1e-13
@@ -37,25 +38,26 @@ _ROUNDING = 2e-14  # relative to λa, p and V; measured
 @jax.jit
 def _jacobian_program(material, u, steps):
     """lag, V, their columns by (λa, p, q), and the number of zeros of ∂λ2/∂λa in 0 < R < 1."""
-    shot = integrate_membrane(material, *u, steps, columns=COLUMNS, trail=True)
-    done, *_, sensitivity = shot.trail
-    change = done[1:] & (sensitivity[1:] * sensitivity[:-1] < 0)
+    shot = integrate_membrane(material, *u, steps, columns=COLUMNS, trail="sensitivity")
+    times, sensitivity = shot.trail
+    change = jnp.isfinite(times[1:])[:, None] & (sensitivity[1:] * sensitivity[:-1] < 0)
     columns = jnp.stack([jnp.stack(shot.columns[c]) for c in COLUMNS])
     return shot.lag, shot.volume, columns, jnp.sum(change, axis=0)
 
 
 def _hermite_least(values, rates, done):
-    """Least value of the cubic Hermite interpolant over all intervals; arrays (nodes, lanes), rates per interval."""
-    f0, f1, d0, d1 = values[:-1], values[1:], rates[:-1], rates[1:]
+    """Least value of the cubic Hermite interpolant; values and rates (2, intervals, lanes), where done (intervals,)."""
+    (f0, f1), (d0, d1) = values, rates
     c2, c3 = 3 * (f1 - f0) - 2 * d0 - d1, 2 * (f0 - f1) + d0 + d1
     root = jnp.sqrt(jnp.maximum(c2 * c2 - 3 * c3 * d0, 0.0))
     # the minimum is the root of d0 + 2 c2 x + 3 c3 x² with positive curvature, in its stable form
     x = jnp.where(c2 >= 0, -d0 / jnp.where(c2 + root == 0, 1.0, c2 + root), (root - c2) / jnp.where(c3 == 0, 1.0, 3 * c3))
     x = jnp.where((x > 0) & (x < 1), x, 0.0)
     inner = f0 + x * (d0 + x * (c2 + x * c3))
-    return jnp.minimum(
-        jnp.min(jnp.where(done, values, jnp.inf), axis=0), jnp.min(jnp.where(done[1:], inner, jnp.inf), axis=0)
-    )
+    return jnp.min(jnp.where(done[:, None], jnp.minimum(inner, jnp.minimum(f0, f1)), jnp.inf), axis=0)
+
+
+_BLOCK = 32  # steps of a trail that are searched together; only as many blocks as there are steps
 
 
 @functools.partial(jax.jit, static_argnames="adaptive")
@@ -63,27 +65,39 @@ def _value_program(membrane, u, steps, adaptive=False):
     """lag, V, height, C = Q/Φ, least σ2 and largest (E/E_EB)²/q along the membrane, stretches admissible."""
     apex, p, q = u
     material = membrane.material
-    shot = integrate_membrane(material, apex, p, q, steps, outputs=True, trail=True, adaptive=adaptive)
-    done, radius, l1, l2, theta, _ = shot.trail
-    # the apex itself, then the nodes; beyond the last one the values are ignored
-    safe = functools.partial(jnp.where, done)
-    radius, l1, l2, theta = safe(radius, 1.0), safe(l1, apex), safe(l2, apex), safe(theta, 0.0)
-    rate1, rate2, _ = slopes(material, radius, l1, l2, theta, p, q)
+    shot = integrate_membrane(material, apex, p, q, steps, outputs=True, trail="profile", adaptive=adaptive)
+    times, values, profile = shot.trail
+    padding = -(len(times) - 1) % _BLOCK
+    times = jnp.pad(times, (0, padding), constant_values=jnp.inf)
+    values = jnp.pad(values, ((0, padding), (0, 0), (0, 0)))
 
     def hoop(l1, l2):
         return l2 * stresses(material, l1, l2, q)[1]
 
-    gap = jnp.diff(radius, axis=0)
-    least, largest = [], []
-    for kind, function in (("hoop", hoop), ("field", lambda a, b: -field_ratio_squared(membrane.breakdown, a, b))):
-        value, rate = jax.jvp(function, (l1, l2), (rate1, rate2))
-        f0, f1, d0, d1 = value[:-1], value[1:], rate[:-1] * gap, rate[1:] * gap
-        ends = jnp.stack([f0, f1]), jnp.stack([d0, d1])
-        inner = jax.vmap(lambda v, d: _hermite_least(v, d, jnp.ones(v.shape, bool)), in_axes=1)(*ends)
-        inner = jnp.min(jnp.where(done[1:], inner, jnp.inf), axis=0)
-        (least if kind == "hoop" else largest).append(jnp.minimum(inner, function(apex, apex)))
-    admissible = jnp.all(material.admissible(l1, l2), axis=0)
-    return shot.lag, shot.volume, shot.height, shot.charge, least[0], -largest[0], admissible
+    def field(l1, l2):
+        return -field_ratio_squared(membrane.breakdown, l1, l2)
+
+    def search(block, found):
+        least, largest, admissible = found
+        begin = block * _BLOCK
+        tau = jax.lax.dynamic_slice_in_dim(times, begin, _BLOCK + 1)
+        rows = jax.lax.dynamic_slice_in_dim(values, begin, _BLOCK + 1)
+        done = jnp.isfinite(tau)
+        radius, l1, l2, theta = profile((tau, jnp.where(done[:, None, None], rows, 0.0)))
+        rate1, rate2, _ = slopes(material, radius, l1, l2, theta, p, q)
+        gap = jnp.diff(radius, axis=0)
+        out = []
+        for function in (hoop, field):
+            value, rate = jax.jvp(function, (l1, l2), (rate1, rate2))
+            ends = jnp.stack([value[:-1], value[1:]]), jnp.stack([rate[:-1] * gap, rate[1:] * gap])
+            out.append(_hermite_least(*ends, done[1:]))
+        inside = jnp.all(material.admissible(l1, l2) | ~done[:, None], axis=0)
+        return jnp.minimum(least, out[0]), jnp.minimum(largest, out[1]), admissible & inside
+
+    count = jnp.sum(jnp.isfinite(times)) - 1
+    begin = hoop(apex, apex), field(apex, apex), material.admissible(apex, apex)
+    least, largest, admissible = jax.lax.fori_loop(0, (count + _BLOCK - 1) // _BLOCK, search, begin)
+    return shot.lag, shot.volume, shot.height, shot.charge, least, -largest, admissible
 
 
 @functools.cache
@@ -201,11 +215,11 @@ def load_fraction(membrane: Membrane, u: np.ndarray) -> np.ndarray:
 _limits = jax.jit(largest_load)
 
 
-def polish(membrane: Membrane, contour: Contour, u, rows, targets, *, tolerance=1e-9, reach=1.0, quick=False) -> Points:
+def polish(membrane: Membrane, contour: Contour, u, rows, targets, *, tolerance=1e-9, reach=1.0, quick=False, refine=False, profile_steps=0.0) -> Points:
     """Newton from `u` (3, lanes) onto the contour, with rows·u = targets; `rows` is (lanes, 3).
 
     A row of NaN asks for a volume: V = target. `reach` bounds the total correction in scaled unknowns: farther means not
-    converged. `quick` stops after one residual on the finer grid. Lanes that fail have ok = False and never disturb the
+    converged. `quick` stops after one residual on the finer grid; `refine` takes tangent and index from a finer grid at the end, `profile_steps` the extremes along the membrane. Lanes that fail have ok = False and never disturb the
     others.
     """
     u, rows, targets = np.array(u, float), np.asarray(rows, float), np.asarray(targets, float)
@@ -217,7 +231,16 @@ def polish(membrane: Membrane, contour: Contour, u, rows, targets, *, tolerance=
         if not len(which):
             continue
         done = _polish(
-            membrane, contour, u[:, which], rows[which], targets[which], tolerance, reach, ladder[:2] if quick else ladder
+            membrane,
+            contour,
+            u[:, which],
+            rows[which],
+            targets[which],
+            tolerance,
+            reach,
+            ladder[:2] if quick else ladder,
+            refine,
+            profile_steps,
         )
         if easy:
             failed = ~done.ok if quick else ~(done.ok & (done.error <= tolerance))
@@ -228,7 +251,7 @@ def polish(membrane: Membrane, contour: Contour, u, rows, targets, *, tolerance=
     return Points.join(parts).take(np.argsort(np.concatenate(order)))
 
 
-def _polish(membrane, contour, u, rows, targets, tolerance, reach, ladder) -> Points:
+def _polish(membrane, contour, u, rows, targets, tolerance, reach, ladder, refine, profile_steps) -> Points:
     """`polish` of lanes that share one ladder of grids."""
     coarse = ladder[0]
     u = np.array(u, float)
@@ -281,25 +304,28 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, ladder) -> Po
     plane = np.full(lanes, np.inf)
 
     def correct(active, steps, adaptive=False):
-        """Deferred correction on one grid: what the residual becomes, and the state moved to make it zero."""
-        first = None
+        """Deferred correction on one grid: the residual there at first, and the state moved to make it zero."""
+        first = np.full((lanes, 2), np.nan)
+        working = active
         for _ in range(4):
             lag, vol, *rest, inside = run_chunks(
-                lambda part: _value_program(membrane, part, steps, adaptive=adaptive), u[:, active]
+                lambda part: _value_program(membrane, part, steps, adaptive=adaptive), u[:, working]
             )
-            right, _ = system(active, lag, vol, columns[..., active])
-            move = -_solve(matrix[active], right)
-            if first is None:
-                first = right[:, :2].copy()
-                change_of_volume[active] = np.abs(vol - result[0][active])
-            u[:, active] += move.T
-            change = np.einsum("il,li->l", columns[:, 1][:, active], move)
-            for store, values in zip(result, [vol + change, *rest], strict=True):
-                store[active] = values
-            admissible[active] = inside.astype(bool)
-            if not np.nanmax(np.linalg.norm(move / SCALE, axis=1), initial=0.0) > 1e-12:
+            right, _ = system(working, lag, vol, columns[..., working])
+            move = -_solve(matrix[working], right)
+            begin = np.isnan(first[working, 0])
+            first[working[begin]] = right[begin, :2]
+            change_of_volume[working[begin]] = np.abs(vol - result[0][working])[begin]
+            u[:, working] += move.T
+            vol = vol + np.einsum("il,li->l", columns[:, 1][:, working], move)
+            for store, values in zip(result, [vol, *rest], strict=True):
+                store[working] = values
+            admissible[working] = inside.astype(bool)
+            # the next chord step would be smaller by the error of the Jacobian, 1e-3 or less
+            working = working[np.linalg.norm(move / SCALE, axis=1) > 3e-9]
+            if not len(working):
                 break
-        return first
+        return first[active]
 
     def estimate_errors(active):
         by_volume = np.abs(contour.slopes(result[0][active])[1] * result[0][active])
@@ -326,8 +352,8 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, ladder) -> Po
         estimate_errors(active)
         active = active[~(estimate[active] <= tolerance)]
     if ladder == HARD and len(active):
-        # not in the cone itself, where no step count helps
-        active = active[load_fraction(membrane, u[:, active]) < 0.95]
+        # within the scanned loads only: beyond them a branch ends where the estimate does
+        active = active[(load_fraction(membrane, u[:, active]) <= SCANNED_LOAD) & (estimate[active] < 1e-6)]
         for exponent in ADAPTIVE:
             if not len(active):
                 break
@@ -335,6 +361,16 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, ladder) -> Po
             if exponent != ADAPTIVE[0]:
                 estimate_errors(active)
                 active = active[~(estimate[active] <= tolerance)]
+    which = np.flatnonzero(settled)
+    if profile_steps and len(which):
+        *_, result[3][which], result[4][which], _ = run_chunks(
+            lambda part: _value_program(membrane, part, profile_steps), u[:, which]
+        )
+    if refine and len(which):
+        lag, vol, columns[..., which], zeros[which] = run_chunks(
+            lambda part: _jacobian_program(membrane.material, part, 3 * coarse), u[:, which]
+        )
+        _, matrix[which] = system(which, lag, vol, columns[..., which])
     drift = np.linalg.norm((u - start).T / SCALE, axis=1)
     ok = settled & np.isfinite(u).all(axis=0) & np.isfinite(result[0]) & (drift < 2 * reach) & admissible
     return Points(

@@ -250,6 +250,7 @@ class CustomMaterial(AbstractMaterial):
         return float(self.largest_stretch), False
 
 
+@jax.jit
 def stresses(material: AbstractMaterial, l1, l2, q):
     """Nominal stresses and their slopes at fixed q: s1, s2, ∂s1/∂λ1, ∂s1/∂λ2.
 
@@ -266,6 +267,7 @@ def stresses(material: AbstractMaterial, l1, l2, q):
     return w1 - q * l1 * l2**2, w2 - q * l1**2 * l2, w11 - q * l2**2, w12 - 2 * q * l1 * l2
 
 
+@jax.jit
 def largest_load(material: AbstractMaterial, apex_stretch):
     """q_max(λa) = W_1(λa, λa)/λa³, at which the tension of the apex vanishes; elementwise."""
     a = jnp.asarray(apex_stretch, float)

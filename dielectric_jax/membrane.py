@@ -74,6 +74,7 @@ class Membrane(eqx.Module):
         return largest_load(self.material, apex_stretch)
 
 
+@jax.jit
 def slopes(material: AbstractMaterial, radius, l1, l2, theta, pressure, q):
     """dλ1/dR (17), dλ2/dR = (λ1 cos θ − λ2)/R, dθ/dR (16)."""
     s1, s2, s11, s12 = stresses(material, l1, l2, q)
@@ -86,6 +87,7 @@ def slopes(material: AbstractMaterial, radius, l1, l2, theta, pressure, q):
     )
 
 
+@jax.jit
 def apex_series(material: AbstractMaterial, apex_stretch, pressure, q):
     """λ1 = λa + a R², λ2 = λa + b R², θ = κ R near the apex: returns a, b, κ.
 

@@ -28,7 +28,7 @@ __all__ = ["Rim", "Shot", "shoot"]
 
 _START = 4e-4  # R at which the apex series hands over, in units of A; the series' error is its fourth power
 _WIDTH = 0.12  # w above, measured: 32 steps of Dopri8 leave 8e-11 for t < 0.5, 48 leave 3e-12
-MOST_STEPS = 512
+MOST_STEPS = 320
 COLUMNS = ("apex_stretch", "pressure", "voltage_squared")
 
 
@@ -102,9 +102,9 @@ def integrate(
 class Shot(typing.NamedTuple):
     """What a shot returns; every entry has the shape of a lane, columns a leading axis of the asked directions.
 
-    `stretch` is λ2 at the rim, `lag` is λ2(1) − λa without cancellation, `height` z(1),
-    `charge` C = Q/Φ. `columns` maps a direction to (∂lag, ∂volume). `trail` holds (τ, (R, λ1, λ2, θ, ∂λ2/∂λa)) after every
-    step, the last only where the apex column was asked for.
+    `lag` is λ2(1) − λa without cancellation, `height` z(1), `charge` C = Q/Φ. `columns` maps a direction to
+    (∂lag, ∂volume). `trail` holds what was recorded after every step: times τ (inf once done) and ∂λ2/∂λa; or times,
+    raw values, and the function that turns a slice of both into R, λ1, λ2, θ.
     """
 
     lag: Array
@@ -131,13 +131,14 @@ def integrate_membrane(
     *,
     columns: tuple = (),
     outputs: bool = False,
-    trail: bool = False,
+    trail: str | None = None,
+    heights: bool = False,
     adaptive: bool = False,
 ) -> Shot:
     """One integration from apex to rim at R = 1.
 
     `columns` lists the wanted derivatives: names of `COLUMNS`, or the index of a leaf of `material`. `outputs` adds
-    height and charge to the state, `trail` the values after every step.
+    height and charge to the state, `trail` the values after every step: "sensitivity" or "profile" (with z as its last entry where `heights` is asked for).
     """
     inputs = jnp.broadcast_arrays(*(jnp.asarray(v, float) for v in (apex_stretch, pressure, q)))
     kappa = jax.lax.stop_gradient(apex_series(material, *inputs)[2])
@@ -216,11 +217,12 @@ def integrate_membrane(
 
     apex_at = states + 4 * integrated.index("apex_stretch") if "apex_stretch" in integrated else None
 
-    def record(y):
-        sensitivity = 1.0 + y[apex_at + 1] if apex_at is not None else jnp.zeros(shape)
-        return jnp.stack([y[0], y[1], y[2], sensitivity])
-
-    end, marks = integrate(field, jnp.stack(start), steps, trail=record if trail else None, adaptive=adaptive)
+    record = {
+        None: None,
+        "sensitivity": lambda y: 1.0 + y[apex_at + 1],
+        "profile": lambda y: jnp.concatenate([y[:3], y[4:5]]) if heights else y[:3],
+    }[trail]
+    end, marks = integrate(field, jnp.stack(start), steps, trail=record, adaptive=adaptive)
     found = {}
     for i, column in enumerate(integrated):
         at = states + 4 * i
@@ -229,12 +231,16 @@ def integrate_membrane(
         rate = rates(jnp.ones(shape), [end[i] for i in range(states)], theta)
         # scaling: λ2 depends on pR alone, V p³ likewise; at p = 0 the limits are 0 and V/p, which no lane asks for
         found["pressure"] = (rate[1] / inputs[1], (rate[3] - 3 * end[3]) / inputs[1])
-    if marks is not None:
+    if trail == "profile":
         times, values = marks
-        radius, _ = jax.vmap(position)(jnp.where(jnp.isfinite(times), times, 1.0))
-        apex = inputs[0]
-        done = jnp.isfinite(times).reshape((-1,) + (1,) * len(shape)) & jnp.ones(shape, bool)
-        marks = (done, radius, apex + values[:, 0], apex + values[:, 1], values[:, 2], values[:, 3])
+
+        def profile(rows):
+            """R, λ1, λ2, θ of the steps `rows` (a slice of the trail)."""
+            tau, y = rows
+            radius, _ = jax.vmap(position)(jnp.where(jnp.isfinite(tau), tau, 1.0))
+            return radius, inputs[0] + y[:, 0], inputs[0] + y[:, 1], y[:, 2]
+
+        marks = (times, values, profile)
     height, charge = (end[4], end[5]) if outputs else (None, None)
     return Shot(end[1], end[3], height, charge, found, marks)
 
@@ -284,3 +290,26 @@ def _(primals, tangents):
         jnp.asarray(sum(shot.columns[c][i] * w for c, w in zip(wanted, weights, strict=True))) for i in (0, 1)
     )
     return Rim(shot.lag, shot.volume), Rim(lag, volume)
+
+
+@jax.jit
+def _rim_with_columns(material, apex_stretch, pressure, q, steps):
+    shot = integrate_membrane(material, apex_stretch, pressure, q, steps, columns=COLUMNS)
+    return shot.lag, shot.volume, jnp.stack([jnp.stack(shot.columns[c]) for c in COLUMNS])
+
+
+@jax.custom_batching.custom_vmap
+def rim_with_columns(material, point, steps):
+    """λ2(1) − λa, V and their derivatives (3, 2) at point (3,) = (λa, p, q); under vmap one loop serves all lanes."""
+    return _rim_with_columns(material, *point, steps)
+
+
+@rim_with_columns.def_vmap
+def _(lanes, batched, material, point, steps):
+    in_material, in_point, in_steps = batched
+    if in_steps:
+        raise NotImplementedError("`steps` must be the same for all lanes of a batch.")
+    del in_material  # leaves of shape () or (lanes,): the integration is elementwise
+    rows = point.T if in_point else jnp.broadcast_to(point[:, None], (3, lanes))
+    lag, volume, columns = _rim_with_columns(material, *rows, steps)
+    return (lag, volume, jnp.moveaxis(columns, -1, 0)), (True, True, True)

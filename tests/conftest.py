@@ -1,0 +1,62 @@
+"""What the tests share: float64, the reference states, and diagrams that are computed once."""
+
+import functools
+import json
+import pathlib
+
+import hypothesis
+import jax
+import pytest
+
+jax.config.update("jax_enable_x64", True)
+
+import dielectric_jax as dj  # noqa: E402  (after the line above, as for every user)
+
+# drawn examples are the same in every run: a failure is a failure of the code
+hypothesis.settings.register_profile("gate", deadline=None, derandomize=True, max_examples=60, database=None)
+hypothesis.settings.load_profile("gate")
+
+
+@pytest.fixture(scope="session")
+def membrane():
+    """The membrane of the paper: Gent with J = 270, not prestretched."""
+    return dj.Membrane()
+
+
+@pytest.fixture(scope="session")
+def reference():
+    """The reference states, a list of dictionaries; see tests/data/README.md."""
+    return json.loads((pathlib.Path(__file__).parent / "data" / "equilibria.json").read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="session")
+def chamber():
+    """`chamber(volume)`: the voltage–volume diagram of the paper's membrane on a chamber with V_0 = 2.42."""
+
+    @functools.cache
+    def build(volume, **options):
+        return dj.voltage_volume(dj.Scene(dj.Membrane(), dj.Chamber(volume=volume, initial_volume=2.42)), **options)
+
+    return build
+
+
+@pytest.fixture(scope="session")
+def held():
+    """`held(pressure, prestretch=1.0)`: the voltage–volume diagram at constant pressure."""
+
+    @functools.cache
+    def build(pressure, prestretch=1.0):
+        return dj.voltage_volume(dj.Scene(dj.Membrane(prestretch=prestretch), dj.ConstantPressure(pressure)))
+
+    return build
+
+
+@pytest.fixture(scope="session")
+def curve():
+    """`curve(voltage, prestretch=1.0)`: the pressure–volume diagram."""
+
+    @functools.cache
+    def build(voltage, prestretch=1.0):
+        return dj.pressure_volume(dj.Membrane(prestretch=prestretch), voltage)
+
+    return build
