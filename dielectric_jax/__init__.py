@@ -25,7 +25,8 @@ _ROOMS = {
     "profiles": ("energy", "profile", "scaling_defect"),
     "chart": ("explicit_map",),
     "continuation": ("Steps", "Trace", "trace"),
-    "diagram": ("Diagram", "equilibrium", "pressure_volume", "voltage_volume"),
+    "states": ("equilibrium",),
+    "diagram": ("Diagram", "pressure_volume", "voltage_volume"),
     "cache": ("enable_compilation_cache",),
 }
 _HOME = {name: room for room, names in _ROOMS.items() for name in names}
@@ -36,7 +37,7 @@ if typing.TYPE_CHECKING:
     from .cache import enable_compilation_cache
     from .chart import explicit_map
     from .continuation import Steps, Trace, trace
-    from .diagram import Diagram, equilibrium, pressure_volume, voltage_volume
+    from .diagram import Diagram, pressure_volume, voltage_volume
     from .loading import Chamber, ConstantPressure, ConstantVoltage
     from .materials import (
         ArrudaBoyce,
@@ -54,6 +55,7 @@ if typing.TYPE_CHECKING:
     from .results import Code, SceneError
     from .scene import PARAMETERS, Scene, Window, describe
     from .shooting import shoot
+    from .states import equilibrium
 
 
 def __getattr__(name: str):

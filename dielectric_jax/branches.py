@@ -16,8 +16,8 @@ import numpy as np
 
 from .chart import Scan, scan
 from .continuation import Steps, trace
-from .equilibria import SCALE, Points, polish
-from .loading import Contour
+from .equilibria import SCALE, Points, compile_ahead, polish
+from .loading import ConstantVoltage, Contour
 from .materials import largest_load
 from .membrane import Membrane
 from .results import Code
@@ -27,7 +27,7 @@ from .shooting import rim_with_columns
 __all__ = ["Curve", "find_curves"]
 
 _LANES = 8
-_STEPS = Steps(first=0.05, largest=1.0, smallest=5e-4, most_turn=0.35, most_correction=0.2, tolerance=1e-5)
+_STEPS = Steps(first=0.05, largest=1.0, smallest=5e-4, most_turn=0.35, most_correction=0.2, tolerance=1e-4)
 _TRACE_STEPS = (16.0, 44.0)  # grids of the continuation: the usual one, and where an inner layer forms
 _TOP_NEAR_LOCK_UP = 0.94
 _MOST_TURN = 0.3
@@ -64,7 +64,9 @@ def _trace_program(material, prestretch, contour, limits, seeds, directions, act
         fraction = u[2] / largest_load(args[0], u[0])
         # where the grid of this accuracy ends: towards lock-up at a high load, and towards the cone
         resolved = jnp.where(
-            args[3] >= _TRACE_STEPS[1], 1.0, jnp.maximum(jnp.minimum(0.93 - fraction, limits[4] - u[0]), 0.72 - fraction)
+            args[3] >= _TRACE_STEPS[1],
+            1.0,
+            jnp.maximum(jnp.minimum(0.93 - fraction, limits[4] - u[0]), 0.72 - fraction),
         )
         # towards lock-up no grid resolves the membrane much beyond the scanned loads
         top = jnp.where(u[0] < limits[4], limits[3], jnp.minimum(limits[3], _TOP_NEAR_LOCK_UP))
@@ -134,6 +136,21 @@ def _run_traces(membrane, contour, limits, seeds, directions, accuracy=_TRACE_ST
     return found
 
 
+def warm_up(membrane: Membrane) -> None:
+    """Starts compiling what a diagram of this kind of membrane needs, all programs side by side."""
+    contour = ConstantVoltage(0.0).contour()
+    nothing = np.zeros((_LANES, 3))
+
+    def trace_nothing():
+        idle = np.zeros(_LANES, bool)
+        limits = np.ones(5)
+        _trace_program(
+            membrane.material, membrane.prestretch, contour, limits, nothing, nothing, idle, _TRACE_STEPS[0], _STEPS
+        )
+
+    compile_ahead(membrane, (trace_nothing,))
+
+
 _scans: collections.OrderedDict = collections.OrderedDict()
 
 
@@ -189,10 +206,20 @@ def _on_points(material, apex) -> np.ndarray:
 def _resample(membrane, line, tangents, count):
     """`count` stations on the traced points: predictions (count, 3) and plane normals, scaled.
 
-    They are equally spaced in the arclength, stretched where the apex sharpens to a cone.
+    They are equally spaced in what a reader sees, closer where the apex sharpens to a cone.
     """
     gap = np.linalg.norm(np.diff(line, axis=0), axis=1)
-    measure = np.concatenate([[0.0], np.cumsum(np.hypot(gap, np.diff(_cone_measure(membrane, line))))])
+    # fewer stations where the pressure shoots up at lock-up and where q < 0, which no voltage reaches
+    q = line[:, 2]
+    seen = np.stack(
+        [
+            line[:, 0],
+            5 * np.arcsinh(line[:, 1] / 5),
+            np.where(q > 0, 2, 0.5) * np.arcsinh(q),
+            _cone_measure(membrane, line),
+        ]
+    )
+    measure = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(seen), axis=0))])
     s = np.linspace(0.0, measure[-1], count)
     i = np.clip(np.searchsorted(measure, s, side="right") - 1, 0, len(gap) - 1)
     share = ((s - measure[i]) / (measure[i + 1] - measure[i]))[:, None]

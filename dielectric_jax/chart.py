@@ -121,7 +121,7 @@ def _map_chunk(material, apex_stretch, load, prestretch, steps):
     return explicit_map(material, apex_stretch, load * largest_load(material, apex_stretch), prestretch, steps)
 
 
-def _map_nodes(material, apex_stretch, load, prestretch, steps):
+def map_nodes(material, apex_stretch, load, prestretch, steps):
     """The explicit map at (λa, t), chunk by chunk through one compiled program."""
     count = len(apex_stretch)
     padding = -count % _CHUNK
@@ -153,7 +153,7 @@ def _panel_matrix(panels, nodes, refinement: int):
     return np.concatenate(x), np.concatenate(fine), scipy.linalg.block_diag(*rows)
 
 
-def _stretch_share(first: float, count: int) -> np.ndarray:
+def stretch_shares(first: float, count: int) -> np.ndarray:
     """Shares y of the stretch span, from `first` to 1: geometric at the flat end, even, finer again at lock-up."""
     lock = 0.02
 
@@ -179,7 +179,7 @@ def scan(membrane: Membrane, stretches, loads, refinement: int = _REFINEMENT) ->
     span = high - prestretch
     first = max((low - prestretch) / span, 1e-8)
     count = refinement * (_NODES[0] - 1) + 1
-    fine_share = _stretch_share(first, count)
+    fine_share = stretch_shares(first, count)
     fine_s = np.linspace(0.0, 1.0, count)
     s, share = fine_s[::refinement], fine_share[::refinement]
 
@@ -191,11 +191,11 @@ def scan(membrane: Membrane, stretches, loads, refinement: int = _REFINEMENT) ->
     x, fine_t, matrix = _panel_matrix(panels, _NODES[1] if len(panels) == 3 else (sum(_NODES[1]),), refinement)
 
     apex, t = (v.ravel() for v in np.meshgrid(stretch_of(share), x, indexing="ij"))
-    pressure, volume, slope = _map_nodes(membrane.material, apex, t, prestretch, 28.0)
+    pressure, volume, slope = map_nodes(membrane.material, apex, t, prestretch, 28.0)
     # towards lock-up at a high load the equations are stiffer; elsewhere 28 steps leave 1e-6
     stiff = (t > 0.4) & ((apex - prestretch) > 0.5 * span)
     for values, better in zip(
-        (pressure, volume, slope), _map_nodes(membrane.material, apex[stiff], t[stiff], prestretch, 128.0), strict=True
+        (pressure, volume, slope), map_nodes(membrane.material, apex[stiff], t[stiff], prestretch, 128.0), strict=True
     ):
         values[stiff] = better
     shape = (len(share), len(x))

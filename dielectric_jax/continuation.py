@@ -43,7 +43,16 @@ class Steps:
     most_points: int = 400
 
     def __post_init__(self):
-        for name in ("first", "largest", "smallest", "most_turn", "most_correction", "most_change", "tolerance", "most_points"):
+        for name in (
+            "first",
+            "largest",
+            "smallest",
+            "most_turn",
+            "most_correction",
+            "most_change",
+            "tolerance",
+            "most_points",
+        ):
             if not getattr(self, name) > 0:
                 raise ValueError(f"`{name}` must be positive, but is {getattr(self, name)!r}.")
         if not self.most_turn <= 1.0:
@@ -156,7 +165,9 @@ def trace(
         offset = jnp.linalg.norm(corrected - anchor)
         change = jnp.max(jnp.abs(watch(corrected) - s["watched"]))
         change = jnp.where(jnp.isfinite(change), change, jnp.inf)
-        straight = first | ((change <= steps.most_change) & (turn <= steps.most_turn) & (offset <= steps.most_correction * s["step"]))
+        straight = first | (
+            (change <= steps.most_change) & (turn <= steps.most_turn) & (offset <= steps.most_correction * s["step"])
+        )
         finite = jnp.all(jnp.isfinite(corrected)) & jnp.all(jnp.isfinite(tangent))
         accept = finite & settled & straight
         failing = ~finite | (settled & ~straight) | (size > 0.5 * s["last"]) | (s["tries"] >= 6)
@@ -180,7 +191,9 @@ def trace(
         tangents = s["tangents"].at[slot].set(jnp.where(accept, tangent, s["tangents"][slot]))
         count = s["count"] + accept
 
-        ease = jnp.minimum(0.5 * steps.most_turn / (turn + 1e-12), 0.5 * steps.most_correction * s["step"] / (offset + 1e-300))
+        ease = jnp.minimum(
+            0.5 * steps.most_turn / (turn + 1e-12), 0.5 * steps.most_correction * s["step"] / (offset + 1e-300)
+        )
         ease = jnp.minimum(ease, (0.6 * steps.most_change / (change + 1e-12)) ** 2)
         grown = jnp.clip(s["step"] * jnp.clip(jnp.sqrt(ease), 0.5, 2.0), steps.smallest, steps.largest)
         step = jnp.where(accept, jnp.where(first, steps.first, grown), jnp.where(failing, 0.5 * s["step"], s["step"]))

@@ -95,9 +95,7 @@ def locate(membrane, contour, curves: list[Curve], wanted: list[tuple], toleranc
     """
     linear = [w for w in wanted if w[0] in ("zero_voltage", "load")]
     found, missed = _locate_loads(membrane, contour, curves, linear, tolerance)
-    return found + _locate_roots(
-        membrane, contour, curves, [w for w in wanted if w not in linear] + missed, tolerance
-    )
+    return found + _locate_roots(membrane, contour, curves, [w for w in wanted if w not in linear] + missed, tolerance)
 
 
 def _hermite_roots(x0, x1, t0, t1, gap, target) -> np.ndarray:
@@ -176,7 +174,7 @@ def _locate_roots(membrane, contour, curves, wanted, tolerance) -> list[Located]
     for round_ in range(_ROUNDS):
         quick = round_ < _QUICK_ROUNDS
         # an extreme inside the membrane is a minimum over nodes: it needs a fine grid of its own
-        hoop = any(wanted[n][0] == "hoop_tension_loss" for n in active)
+        hoop = any(wanted[n][0] == "hoop_tension_loss" and change[n] < 1e-2 for n in active)
         found = solve_between(
             membrane,
             contour,
@@ -185,8 +183,8 @@ def _locate_roots(membrane, contour, curves, wanted, tolerance) -> list[Located]
             share[active],
             tolerance=tolerance / 4,
             quick=quick,
-            refine=not quick,
-            profile_steps=_PROFILE_STEPS if hoop and not quick else 0.0,
+            refine=not quick and any("fold" in wanted[n][0] for n in active),
+            profile_steps=_PROFILE_STEPS if hoop else 0.0,
         )
         f = np.array(
             [event_values(wanted[n][0], found.take(np.array([k])), wanted[n][3])[0] for k, n in enumerate(active)]
@@ -201,7 +199,11 @@ def _locate_roots(membrane, contour, curves, wanted, tolerance) -> list[Located]
             fresh = np.isnan(last_f[active]) | (round_ == _QUICK_ROUNDS)
             chord = (f_high - f_low)[active] / (high - low)[active]
             secant = (f - last_f[active]) / (at - last_share[active])
-            slope = np.where(np.isfinite(secant) & (secant != 0) & ~fresh, secant, np.where(fresh, slopes[active], chord) if round_ else chord)
+            slope = np.where(
+                np.isfinite(secant) & (secant != 0) & ~fresh,
+                secant,
+                np.where(fresh, slopes[active], chord) if round_ else chord,
+            )
             new = at - f / slope
             slopes[active] = slope
         good = np.isfinite(new) & (new > -0.05) & (new < 1.05)
@@ -211,6 +213,8 @@ def _locate_roots(membrane, contour, curves, wanted, tolerance) -> list[Located]
         for k, n in enumerate(active):
             results[n] = found.take(np.array([k]))
         done = change[active] < (_CLOSE if quick else _EXACT)
+        if not hoop:
+            done &= np.array([wanted[n][0] != "hoop_tension_loss" for n in active])
         if quick:
             share[active] = new
             if round_ == _QUICK_ROUNDS - 1 or done.all():

@@ -51,7 +51,9 @@ def _hermite_least(values, rates, done):
     c2, c3 = 3 * (f1 - f0) - 2 * d0 - d1, 2 * (f0 - f1) + d0 + d1
     root = jnp.sqrt(jnp.maximum(c2 * c2 - 3 * c3 * d0, 0.0))
     # the minimum is the root of d0 + 2 c2 x + 3 c3 x² with positive curvature, in its stable form
-    x = jnp.where(c2 >= 0, -d0 / jnp.where(c2 + root == 0, 1.0, c2 + root), (root - c2) / jnp.where(c3 == 0, 1.0, 3 * c3))
+    x = jnp.where(
+        c2 >= 0, -d0 / jnp.where(c2 + root == 0, 1.0, c2 + root), (root - c2) / jnp.where(c3 == 0, 1.0, 3 * c3)
+    )
     x = jnp.where((x > 0) & (x < 1), x, 0.0)
     inner = f0 + x * (d0 + x * (c2 + x * c3))
     return jnp.min(jnp.where(done[:, None], jnp.minimum(inner, jnp.minimum(f0, f1)), jnp.inf), axis=0)
@@ -105,6 +107,29 @@ def _threads() -> concurrent.futures.ThreadPoolExecutor:
     return concurrent.futures.ThreadPoolExecutor(max(os.cpu_count() or 1, 1))
 
 
+_compiling: dict = {}
+
+
+def compile_ahead(membrane: Membrane, more: tuple[Callable, ...] = ()) -> None:
+    """Starts compiling the programs of this kind of membrane side by side, and `more`; `polish` waits for its own."""
+    key = jax.tree.structure(membrane)
+    if key not in _compiling:
+        u = np.tile(np.array([[float(membrane.prestretch) + 0.1], [0.1], [0.0]]), (1, CHUNK))
+        jobs = (
+            *more,
+            lambda: _jacobian_program(membrane.material, u, 2.0),
+            lambda: _value_program(membrane, u, 2.0),
+        )
+        pool = concurrent.futures.ThreadPoolExecutor(len(jobs))
+        _compiling[key] = [pool.submit(job) for job in jobs]
+        pool.shutdown(wait=False)
+
+
+def _await_programs(membrane: Membrane) -> None:
+    for job in _compiling.get(jax.tree.structure(membrane), ()):
+        job.result()
+
+
 def run_chunks(program: Callable, u: np.ndarray) -> list[np.ndarray]:
     """`program` on lanes u of shape (3, lanes), in chunks of one compiled shape, on all cores."""
     count = u.shape[1]
@@ -143,7 +168,12 @@ class Points:
 
     def take(self, which) -> "Points":
         """The lanes `which`, an index array or slice."""
-        return Points(**{f.name: getattr(self, f.name)[..., which] if f.name != "tangent" else self.tangent[which] for f in dataclasses.fields(self)})
+        return Points(
+            **{
+                f.name: getattr(self, f.name)[..., which] if f.name != "tangent" else self.tangent[which]
+                for f in dataclasses.fields(self)
+            }
+        )
 
     @staticmethod
     def join(parts: list["Points"]) -> "Points":
@@ -215,13 +245,26 @@ def load_fraction(membrane: Membrane, u: np.ndarray) -> np.ndarray:
 _limits = jax.jit(largest_load)
 
 
-def polish(membrane: Membrane, contour: Contour, u, rows, targets, *, tolerance=1e-9, reach=1.0, quick=False, refine=False, profile_steps=0.0) -> Points:
+def polish(
+    membrane: Membrane,
+    contour: Contour,
+    u,
+    rows,
+    targets,
+    *,
+    tolerance=1e-9,
+    reach=1.0,
+    quick=False,
+    refine=False,
+    profile_steps=0.0,
+) -> Points:
     """Newton from `u` (3, lanes) onto the contour, with rows·u = targets; `rows` is (lanes, 3).
 
     A row of NaN asks for a volume: V = target. `reach` bounds the total correction in scaled unknowns: farther means not
     converged. `quick` stops after one residual on the finer grid; `refine` takes tangent and index from a finer grid at the end, `profile_steps` the extremes along the membrane. Lanes that fail have ok = False and never disturb the
     others.
     """
+    _await_programs(membrane)
     u, rows, targets = np.array(u, float), np.asarray(rows, float), np.asarray(targets, float)
     hard = is_hard(membrane, u[0], load_fraction(membrane, u))
     order, parts = [], []

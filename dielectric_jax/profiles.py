@@ -20,8 +20,16 @@ def _profile_program(membrane, apex, pressure, q, steps):
     radius, l1, l2, theta = along((times, values[:, :3]))
     s1, s2, _, _ = stresses(membrane.material, l1, l2, q)
     area = l1 * l2
-    return jnp.isfinite(times), radius, l1, l2, theta, values[:, 3], l1 * s1, l2 * s2, membrane.breakdown.field(
-        jnp.sqrt(area)
+    return (
+        jnp.isfinite(times),
+        radius,
+        l1,
+        l2,
+        theta,
+        values[:, 3],
+        l1 * s1,
+        l2 * s2,
+        membrane.breakdown.field(jnp.sqrt(area)),
     )
 
 

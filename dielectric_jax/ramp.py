@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from .records import Event, Ramp, SpecialPoint, State
+from .states import states_of
 
 __all__ = ["build_ramp", "build_way_back", "flat_ramp"]
 
@@ -45,8 +46,6 @@ def _walk(solved, here, rising: bool):
 
 
 def _end_of(solved, here, side) -> State:
-    from .diagram import states_of
-
     points = solved.curves[here.branch].points
     return states_of(points.take(np.array([len(points) - 1 if side > 0 else 0])), solved.tolerance)[0]
 
@@ -64,10 +63,6 @@ def _land(solved, fold, side):
         if jump > 0 and not same and other.point.index[0] == 0:
             found.append((jump, other))
     return min(found, key=lambda f: f[0])[1] if found else None
-
-
-def _is_index0(solved, fold, side) -> bool:
-    return True
 
 
 def _follow(solved, here, rising: bool, events: list, direction: str):
@@ -153,11 +148,7 @@ def build_way_back(solved, start: State) -> Ramp:
     """
     if solved is None or not start.voltage > 0:
         raise ValueError(f"`start` must be an equilibrium at a positive voltage, but is {start!r}.")
-    near = [
-        p
-        for p in solved.states_at_load(start.voltage_squared)
-        if abs(p.point.volume[0] / start.volume - 1) < 1e-6
-    ]
+    near = [p for p in solved.states_at_load(start.voltage_squared) if abs(p.point.volume[0] / start.volume - 1) < 1e-6]
     if not near:
         raise ValueError(f"`start` must be an equilibrium of this diagram, but is {start!r}.")
     return _way_back(solved, near[0])

@@ -73,4 +73,6 @@ def check_positive(name: str, value: float, *, zero: bool = False) -> None:
 def check_between(name: str, value: float, low: float, high: float, *, what: str = "") -> None:
     """Raises `ValueError` unless `low <= value <= high`; `what` explains the limits."""
     if not low <= value <= high:
-        raise ValueError(f"`{name}` must lie between {low:g} and {high:g}{what and ' (' + what + ')'}, but is {value!r}.")
+        raise ValueError(
+            f"`{name}` must lie between {low:g} and {high:g}{what and ' (' + what + ')'}, but is {value!r}."
+        )

@@ -4,13 +4,11 @@ The scene decides what is integrated: which derivatives the loading's condition 
 """
 
 import equinox as eqx
-import jax
 import numpy as np
 
 from .loading import AbstractLoading, Chamber, ConstantPressure, ConstantVoltage
 from .materials import ArrudaBoyce, ConstantBreakdown, CustomMaterial, Gent, NeoHookean, VHBBreakdown
 from .membrane import Membrane
-from .results import Code
 
 __all__ = ["PARAMETERS", "Scene", "Window", "describe"]
 
@@ -90,7 +88,9 @@ class Scene(eqx.Module):
             if path is None:
                 raise ValueError(f"`{name}` must be one of {', '.join(PARAMETERS)}, but is not a parameter of a scene.")
             if not _has(scene, path):
-                raise ValueError(f"`{name}` must be a parameter of this scene, but its {path[0]} has none of that name.")
+                raise ValueError(
+                    f"`{name}` must be a parameter of this scene, but its {path[0]} has none of that name."
+                )
             changes = {path[-1]: value}
             other = {"initial_volume": "initial_pressure", "initial_pressure": "initial_volume"}.get(name)
             if other:
@@ -108,7 +108,9 @@ class Scene(eqx.Module):
         if not high > prestretch:
             raise ValueError(f"`stretch_window` must end above the prestretch {prestretch:g}, but ends at {high!r}.")
         if not low < lock_up:
-            raise ValueError(f"`stretch_window` must begin below the lock-up stretch {lock_up:.6g}, but begins at {low!r}.")
+            raise ValueError(
+                f"`stretch_window` must begin below the lock-up stretch {lock_up:.6g}, but begins at {low!r}."
+            )
         return (max(low, prestretch), min(high, lock_up)), locks and high >= lock_up, self.window.load_fraction
 
 

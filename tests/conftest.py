@@ -10,7 +10,7 @@ import pytest
 
 jax.config.update("jax_enable_x64", True)
 
-import dielectric_jax as dj  # noqa: E402  (after the line above, as for every user)
+import dielectric_jax as dj
 
 # drawn examples are the same in every run: a failure is a failure of the code
 hypothesis.settings.register_profile("gate", deadline=None, derandomize=True, max_examples=60, database=None)

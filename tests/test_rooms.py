@@ -6,6 +6,7 @@ import pathlib
 import pytest
 
 ROOMS = [
+    "cache",
     "results",
     "records",
     "materials",
@@ -13,11 +14,14 @@ ROOMS = [
     "loading",
     "scene",
     "shooting",
+    "profiles",
     "equilibria",
     "chart",
     "continuation",
-    "stability",
+    "branches",
     "critical",
+    "states",
+    "ramp",
     "drawing",
     "plotting",
     "diagram",

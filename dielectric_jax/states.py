@@ -1,0 +1,247 @@
+"""Single states: `equilibrium`, flat films, the filling of a chamber; and points as records."""
+
+import math
+
+import jax
+import numpy as np
+
+from .branches import cached_scan
+from .chart import map_nodes, stretch_shares
+from .equilibria import Points, polish
+from .loading import ConstantPressure, ConstantVoltage
+from .materials import is_concrete, largest_load
+from .membrane import Membrane, require_float64
+from .records import State, voltage_of
+from .results import Code, SceneError, check_positive
+from .scene import Scene, Window
+
+__all__ = ["equilibrium", "filling", "flat_state", "states_of"]
+
+
+def check_request(points: int, tolerance: float) -> None:
+    if not (isinstance(points, int) and 8 <= points <= 100_000):
+        raise ValueError(f"`points` must be a whole number from 8 to 100000, but is {points!r}.")
+    if not (math.isfinite(tolerance) and 1e-12 <= tolerance <= 1e-3):
+        raise ValueError(f"`tolerance` must lie between 1e-12 and 0.001, but is {tolerance!r}.")
+    require_float64()
+
+
+def check_concrete(scene) -> None:
+    if not all(is_concrete(leaf) for leaf in jax.tree.leaves(scene)):
+        raise ValueError(
+            "`scene` must hold numbers here, but is being transformed by JAX; diagrams are built outside "
+            "transformations, derivatives of states come from `shoot`."
+        )
+
+
+def states_of(points: Points, tolerance: float) -> list[State]:
+    """The lanes as records."""
+    q = points.u[2]
+    with np.errstate(invalid="ignore"):
+        charge = points.charge_per_voltage * voltage_of(q)
+        ratio = np.where(q >= 0, np.sqrt(np.abs(q) * points.field), np.nan)
+    return [
+        State(
+            voltage_squared=float(q[i]),
+            pressure=float(points.u[1, i]),
+            volume=float(points.volume[i]),
+            apex_stretch=float(points.u[0, i]),
+            height=float(points.height[i]),
+            charge=float(charge[i]),
+            breakdown_ratio=float(ratio[i]),
+            index=int(points.index[i]),
+            error_estimate=float(points.error[i]),
+            flags=("error_above_tolerance",) if not points.error[i] <= tolerance else (),
+        )
+        for i in range(len(points))
+    ]
+
+
+def flat_state(membrane: Membrane, q: float) -> State:
+    """λ1 = λ2 = λ0, p = V = 0: charge π Φ λ0⁴."""
+    stretch = float(membrane.prestretch)
+    phi = math.sqrt(q) if q >= 0 else math.nan
+    ratio = phi * stretch**2 / float(membrane.breakdown.field(stretch)) if q >= 0 else math.nan
+    return State(q, 0.0, 0.0, stretch, 0.0, math.pi * phi * stretch**4, ratio, 0, 1e-13)
+
+
+def filling(scene: Scene, tolerance: float) -> tuple[float | None, float | None]:
+    """(p_0, V_0) of a chamber at zero voltage, (0, 0) for a flat film, (None, None) without a chamber."""
+    loading, membrane = scene.loading, scene.membrane
+    flat = (0.0, 0.0)
+    if isinstance(loading, ConstantPressure):
+        filled = float(loading.pressure) > 0
+    elif loading.initial_volume is not None:
+        filled = float(loading.initial_volume) > 0
+    else:
+        filled = float(loading.initial_pressure) > 0
+    if not filled:
+        if float(membrane.prestretch) == 1.0:
+            raise SceneError(Code.flat_unstretched)
+        return flat
+    if isinstance(loading, ConstantPressure):
+        return None, None
+    name = "initial_volume" if loading.initial_volume is not None else "initial_pressure"
+    wanted = float(getattr(loading, name))
+    state = _filled_state(membrane, name.removeprefix("initial_"), wanted, tolerance)
+    if state is None:
+        most = _reach(membrane, name.removeprefix("initial_"))
+        raise ValueError(
+            f"`{name}` must lie between 0 and {most:.6g}, what the membrane reaches at zero voltage up to its lock-up, "
+            f"but is {wanted!r}."
+        )
+    return (state.pressure, wanted) if name == "initial_volume" else (wanted, state.volume)
+
+
+def _zero_load_line(membrane: Membrane):
+    """λa, p and V of the scan at its load nearest to zero: starts for Newton at zero voltage."""
+    limits = Scene(membrane, ConstantVoltage(0.0)).limits()
+    chart = cached_scan(membrane, limits[0], limits[2])
+    j = int(np.argmin(np.abs(chart.load_fraction)))
+    return chart.apex_stretch, chart.pressure[:, j], chart.volume[:, j]
+
+
+def _filled_state(membrane: Membrane, quantity: str, wanted: float, tolerance: float) -> State | None:
+    """The state of smallest volume at zero voltage with the wanted pressure or volume."""
+    apex, pressure, volume = _zero_load_line(membrane)
+    value = np.log((pressure if quantity == "pressure" else volume) / wanted)
+    crossing = np.flatnonzero(value[:-1] * value[1:] <= 0)
+    if len(crossing):
+        i = int(crossing[0])
+        s = value[i] / (value[i] - value[i + 1])
+        guess = [[apex[i] + s * (apex[i + 1] - apex[i])], [pressure[i] + s * (pressure[i + 1] - pressure[i])], [0.0]]
+        row = [[np.nan] * 3] if quantity == "volume" else [[0.0, 1.0, 0.0]]
+        contour = ConstantVoltage(0.0).contour()
+        found = polish(membrane, contour, np.array(guess), np.array(row), np.array([wanted]), tolerance=tolerance / 4)
+        if found.ok[0] and found.error[0] <= tolerance:
+            return states_of(found, tolerance)[0]
+    try:  # near the peak of the pressure, or at the window's edge: the fine search
+        return equilibrium(membrane, voltage=0.0, tolerance=tolerance, **{quantity: wanted})
+    except SceneError:
+        return None
+
+
+def _reach(membrane: Membrane, quantity: str) -> float:
+    _, pressure, volume = _zero_load_line(membrane)
+    return float(np.nanmax(pressure if quantity == "pressure" else volume))
+
+
+def equilibrium(
+    membrane: Membrane,
+    *,
+    voltage: float = 0.0,
+    pressure: float | None = None,
+    volume: float | None = None,
+    apex_stretch: float | None = None,
+    all: bool = False,
+    tolerance: float = 1e-9,
+    window: Window | None = None,
+):
+    """The equilibrium at a voltage and one of pressure, volume or apex stretch: the one of smallest volume, stable or not.
+
+    With `all=True` a list of every one in the window, ordered by volume. The index is that of prescribed pressure.
+    Raises ValueError for bad input and SceneError where there is none.
+
+    >>> state = equilibrium(Membrane(), voltage=0.0, volume=2.42)
+    >>> round(state.pressure, 9), state.index
+    (1.886612680, 0)
+    """
+    check_request(8, tolerance)
+    given = {
+        n: v for n, v in (("pressure", pressure), ("volume", volume), ("apex_stretch", apex_stretch)) if v is not None
+    }
+    if len(given) != 1:
+        raise ValueError(
+            f"`pressure`, `volume` or `apex_stretch` must be given, one of the three, but {len(given)} are."
+        )
+    ((name, wanted),) = given.items()
+    wanted = float(wanted)
+    check_positive(name, wanted, zero=name != "apex_stretch")
+    check_positive("voltage", float(voltage), zero=True)
+    scene = Scene(membrane, ConstantVoltage(voltage), window or Window())
+    check_concrete(scene)
+    limits = scene.limits()
+    prestretch = float(membrane.prestretch)
+    if name == "apex_stretch" and not prestretch <= wanted <= limits[0][1]:
+        raise ValueError(
+            f"`apex_stretch` must lie between the prestretch {prestretch:g} and the end of the window "
+            f"{limits[0][1]:.6g}, but is {wanted!r}."
+        )
+    if (name == "apex_stretch" and wanted == prestretch) or wanted == 0:
+        return _flat_equilibrium(membrane, float(voltage), all)
+    contour = scene.loading.contour()
+    found = _starts(membrane, float(voltage) ** 2, name, wanted, limits)
+    states: list[State] = []
+    if len(found):
+        rows = {"apex_stretch": [1.0, 0, 0], "pressure": [0, 1.0, 0], "volume": [np.nan] * 3}[name]
+        lanes = found.shape[1]
+        result = polish(
+            membrane, contour, found, np.tile(rows, (lanes, 1)), np.full(lanes, wanted), tolerance=tolerance, reach=1.0
+        )
+        for state in states_of(result.take(np.flatnonzero(result.ok)), tolerance):
+            if not any(abs(state.apex_stretch / other.apex_stretch - 1) < 1e-9 for other in states):
+                states.append(state)
+    if not states:
+        raise SceneError(Code.no_equilibrium)
+    states.sort(key=lambda s: s.volume)
+    return states if all else states[0]
+
+
+def _flat_equilibrium(membrane: Membrane, voltage: float, every: bool):
+    stretch = float(membrane.prestretch)
+    if stretch == 1.0:
+        raise SceneError(Code.flat_unstretched)
+    if voltage**2 > float(largest_load(membrane.material, stretch)):
+        raise SceneError(Code.no_equilibrium, "The flat film is slack at this voltage.")
+    state = flat_state(membrane, voltage**2)
+    return [state] if every else state
+
+
+def _starts(membrane, q, name, wanted, limits) -> np.ndarray:
+    """Guesses (3, n) for every state at load q with the wanted value, from the explicit map on a line of the chart."""
+    (low, high), _, loads = limits
+    prestretch = float(membrane.prestretch)
+    share = stretch_shares(max((low - prestretch) / (high - prestretch), 1e-9), 640)
+    apex = np.minimum(prestretch + (high - prestretch) * share, high)
+    if name == "apex_stretch":
+        apex = np.sort(np.append(apex, wanted))
+    fraction = q / np.asarray(largest_load(membrane.material, apex))
+    top = min(loads[1], 0.97)
+    inside = (fraction <= top) & (fraction >= loads[0])
+    if not inside.any():
+        return np.zeros((3, 0))
+    pressure, volume, slope = map_nodes(membrane.material, apex[inside], fraction[inside], prestretch, 96.0)
+    apex = apex[inside]
+    ok = (slope < 0) & np.isfinite(pressure) & np.isfinite(volume) & (pressure > 0) & (volume > 0)
+    rows = np.flatnonzero(inside)[ok]
+    apex, pressure, volume = apex[ok], pressure[ok], volume[ok]
+    if len(apex) < 2:
+        return np.zeros((3, 0))
+    if name == "apex_stretch":
+        i = int(np.argmin(np.abs(apex - wanted)))
+        return np.array([[apex[i]], [pressure[i]], [q]]) if abs(apex[i] - wanted) < 1e-12 else np.zeros((3, 0))
+    value = {"pressure": np.log(pressure / wanted), "volume": np.log(volume / wanted)}[name]
+    joined = np.diff(rows) == 1
+    guesses = []
+    for i in np.flatnonzero((value[:-1] * value[1:] <= 0) & joined):
+        s = value[i] / (value[i] - value[i + 1]) if value[i] != value[i + 1] else 0.5
+        guesses.append((i, s))
+    # a local extremum between nodes may hide a pair: try both sides of one that comes close
+    for i in np.flatnonzero(np.diff(value)[:-1] * np.diff(value)[1:] < 0) + 1:
+        near = abs(value[i]) < 4 * max(abs(value[i] - value[i - 1]), abs(value[i] - value[i + 1]))
+        if near and value[i - 1] * value[i] > 0 and value[i] * value[i + 1] > 0:
+            a, b, c = value[i - 1], value[i], value[i + 1]
+            curvature = a - 2 * b + c
+            vertex = (a - c) / (2 * curvature)
+            depth = b - curvature * vertex**2 / 2
+            if depth * b <= 0 or abs(depth) < 1e-6 * abs(curvature):
+                half = math.sqrt(max(-2 * depth / curvature, 1e-8))
+                guesses += [(i, vertex - half), (i, vertex + half)]
+    logs = np.log(pressure)
+    out = []
+    for i, s in guesses:
+        k = i if s >= 0 else i - 1
+        k = min(max(k, 0), len(apex) - 2)
+        s = s if s >= 0 else 1 + s
+        out.append([apex[k] + s * (apex[k + 1] - apex[k]), math.exp(logs[k] + s * (logs[k + 1] - logs[k])), q])
+    return np.array(out).T if out else np.zeros((3, 0))
