@@ -26,7 +26,7 @@ from scipy.spatial import cKDTree
 import dielectric_jax as dj
 
 SCALE = np.array([1.0, 0.2, 0.02])  # distances are measured in these units of (λa, p, q)
-NODES = (200, 84)  # of the chart, along the stretch and the load
+NODES = (280, 96)  # of the chart, along the stretch and the load
 FINE = (1400, 500)  # of the contoured grid
 TOP, BOTTOM = 0.9, -1.0
 EDGE = 0.01  # in t, and as a share of the stretch: what lies this close to the window's edge is only noted
@@ -144,16 +144,15 @@ def draw(count: int, seed: int) -> list[dict]:
 def resolve(scene: dict, chart: Chart):
     """The loading of a scene and its condition(p, V); V_0 is a share of the volume at the peak of p at zero voltage.
 
-    Where p has no peak, of the volume where it rises most slowly with log V.
+    Where p has no peak, of the volume at which it rises most slowly.
     """
     if "pressure" in scene:
         return dj.ConstantPressure(scene["pressure"]), lambda p, v: p - scene["pressure"]
     _, p, v = chart.unloaded()
     rising = np.diff(p) > 0
-    peak = int(np.argmin(rising)) if not rising.all() else int(np.argmin(np.diff(p) / np.diff(np.log(v))))
+    peak = int(np.argmin(rising)) if not rising.all() else int(np.argmin(np.diff(p) / np.diff(v)))
     scene["peak"] = bool(not rising.all())
     scene["initial_volume"] = v0 = scene["fill"] * float(v[peak])
-    p0 = float(np.interp(math.log(v0), np.log(v), p)) if v0 > v[0] else float("nan")
     near = np.clip(np.searchsorted(v, v0), 3, len(v) - 4)
     p0 = float(make_interp_spline(np.log(v[near - 3 : near + 4]), p[near - 3 : near + 4], k=5)(math.log(v0)))
     total = p0 + 50.0

@@ -16,7 +16,7 @@ __all__ = ["Located", "fold_events", "locate", "special_points"]
 
 
 _QUICK_ROUNDS, _ROUNDS = 2, 10
-_PROFILE_STEPS = 300.0
+_PROFILE_STEPS = 192.0
 _CLOSE, _EXACT = 1e-7, 1e-10  # changes of the share of an interval at which a root is close, and done
 
 

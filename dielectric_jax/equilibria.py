@@ -45,31 +45,47 @@ def _jacobian_program(material, u, steps):
     return shot.lag, shot.volume, columns, jnp.sum(change, axis=0)
 
 
-def _hermite_least(values, rates, done):
-    """Least value of the cubic Hermite interpolant; values and rates (2, intervals, lanes), where done (intervals,)."""
-    (f0, f1), (d0, d1) = values, rates
-    c2, c3 = 3 * (f1 - f0) - 2 * d0 - d1, 2 * (f0 - f1) + d0 + d1
-    root = jnp.sqrt(jnp.maximum(c2 * c2 - 3 * c3 * d0, 0.0))
-    # the minimum is the root of d0 + 2 c2 x + 3 c3 x² with positive curvature, in its stable form
-    x = jnp.where(
-        c2 >= 0, -d0 / jnp.where(c2 + root == 0, 1.0, c2 + root), (root - c2) / jnp.where(c3 == 0, 1.0, 3 * c3)
-    )
-    x = jnp.where((x > 0) & (x < 1), x, 0.0)
-    inner = f0 + x * (d0 + x * (c2 + x * c3))
-    return jnp.min(jnp.where(done[:, None], jnp.minimum(inner, jnp.minimum(f0, f1)), jnp.inf), axis=0)
+def _least_inside(values, rates):
+    """Least value of the quintic Hermite interpolants about each inner node that is lower than its neighbours.
+
+    `values` and `rates` (per step) are (nodes, lanes) at equal steps; +inf where no inner node is.
+    """
+    before, here, after = values[:-2], values[1:-1], values[2:]
+    low = (here <= before) & (here <= after) & jnp.isfinite(before) & jnp.isfinite(after)
+    before, after = jnp.where(low, before, here), jnp.where(low, after, here)
+    slope = rates[1:-1]
+    even, odd = (after + before) / 2 - here, (after - before) / 2 - slope
+    rise, lift = (rates[2:] - rates[:-2]) / 2, (rates[2:] + rates[:-2]) / 2 - slope
+    a4, a5 = (rise - 2 * even) / 2, (lift - 3 * odd) / 2
+    a2, a3 = even - a4, odd - a5
+    x = jnp.zeros_like(here)
+    for _ in range(5):
+        first = slope + x * (2 * a2 + x * (3 * a3 + x * (4 * a4 + x * 5 * a5)))
+        second = 2 * a2 + x * (6 * a3 + x * (12 * a4 + x * 20 * a5))
+        x = jnp.clip(x - first / jnp.where(low & (second != 0), second, 1.0), -1.0, 1.0)
+    least = here + x * (slope + x * (a2 + x * (a3 + x * (a4 + x * a5))))
+    return jnp.min(jnp.where(low, jnp.minimum(least, here), jnp.inf), axis=0)
 
 
 _BLOCK = 32  # steps of a trail that are searched together; only as many blocks as there are steps
 
 
-@functools.partial(jax.jit, static_argnames="adaptive")
-def _value_program(membrane, u, steps, adaptive=False):
+@jax.jit
+def _careful_program(membrane, u, exponent):
+    """lag, V, height and C = Q/Φ by adaptive steps."""
+    shot = integrate_membrane(membrane.material, *u, exponent, outputs=True, adaptive=True)
+    return shot.lag, shot.volume, shot.height, shot.charge
+
+
+@jax.jit
+def _value_program(membrane, u, steps):
     """lag, V, height, C = Q/Φ, least σ2 and largest (E/E_EB)²/q along the membrane, stretches admissible."""
     apex, p, q = u
     material = membrane.material
-    shot = integrate_membrane(material, apex, p, q, steps, outputs=True, trail="profile", adaptive=adaptive)
+    shot = integrate_membrane(material, apex, p, q, steps, outputs=True, trail="profile")
     times, values, profile = shot.trail
-    padding = -(len(times) - 1) % _BLOCK
+    # blocks overlap by two nodes, so that every inner node has both neighbours in one
+    padding = -(len(times) - 2) % _BLOCK
     times = jnp.pad(times, (0, padding), constant_values=jnp.inf)
     values = jnp.pad(values, ((0, padding), (0, 0), (0, 0)))
 
@@ -80,25 +96,23 @@ def _value_program(membrane, u, steps, adaptive=False):
         return -field_ratio_squared(membrane.breakdown, l1, l2)
 
     def search(block, found):
-        least, largest, admissible = found
-        begin = block * _BLOCK
-        tau = jax.lax.dynamic_slice_in_dim(times, begin, _BLOCK + 1)
-        rows = jax.lax.dynamic_slice_in_dim(values, begin, _BLOCK + 1)
-        done = jnp.isfinite(tau)
-        radius, l1, l2, theta = profile((tau, jnp.where(done[:, None, None], rows, 0.0)))
+        *least, admissible = found
+        tau = jax.lax.dynamic_slice_in_dim(times, block * _BLOCK, _BLOCK + 2)
+        rows = jax.lax.dynamic_slice_in_dim(values, block * _BLOCK, _BLOCK + 2)
+        done = jnp.isfinite(tau)[:, None]
+        radius, stretching, l1, l2, theta = profile((tau, jnp.where(done[..., None], rows, 0.0)))
         rate1, rate2, _ = slopes(material, radius, l1, l2, theta, p, q)
-        gap = jnp.diff(radius, axis=0)
-        out = []
-        for function in (hoop, field):
+        for k, function in enumerate((hoop, field)):
             value, rate = jax.jvp(function, (l1, l2), (rate1, rate2))
-            ends = jnp.stack([value[:-1], value[1:]]), jnp.stack([rate[:-1] * gap, rate[1:] * gap])
-            out.append(_hermite_least(*ends, done[1:]))
-        inside = jnp.all(material.admissible(l1, l2) | ~done[:, None], axis=0)
-        return jnp.minimum(least, out[0]), jnp.minimum(largest, out[1]), admissible & inside
+            value = jnp.where(done, value, jnp.inf)
+            inner = _least_inside(value, jnp.where(done, rate * stretching / steps, 0.0))
+            least[k] = jnp.minimum(least[k], jnp.minimum(inner, jnp.min(value, axis=0)))
+        inside = jnp.all(material.admissible(l1, l2) | ~done, axis=0)
+        return *least, admissible & inside
 
-    count = jnp.sum(jnp.isfinite(times)) - 1
+    count = jnp.sum(jnp.isfinite(times))
     begin = hoop(apex, apex), field(apex, apex), material.admissible(apex, apex)
-    least, largest, admissible = jax.lax.fori_loop(0, (count + _BLOCK - 1) // _BLOCK, search, begin)
+    least, largest, admissible = jax.lax.fori_loop(0, (count - 2 + _BLOCK - 1) // _BLOCK, search, begin)
     return shot.lag, shot.volume, shot.height, shot.charge, least, -largest, admissible
 
 
@@ -351,9 +365,8 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, ladder, refin
         first = np.full((lanes, 2), np.nan)
         working = active
         for _ in range(4):
-            lag, vol, *rest, inside = run_chunks(
-                lambda part: _value_program(membrane, part, steps, adaptive=adaptive), u[:, working]
-            )
+            program = _careful_program if adaptive else _value_program
+            lag, vol, *rest = run_chunks(lambda part, run=program: run(membrane, part, steps), u[:, working])
             right, _ = system(working, lag, vol, columns[..., working])
             move = -_solve(matrix[working], right)
             begin = np.isnan(first[working, 0])
@@ -361,9 +374,8 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, ladder, refin
             change_of_volume[working[begin]] = np.abs(vol - result[0][working])[begin]
             u[:, working] += move.T
             vol = vol + np.einsum("il,li->l", columns[:, 1][:, working], move)
-            for store, values in zip(result, [vol, *rest], strict=True):
+            for store, values in zip([*result, admissible], [vol, *rest], strict=False):
                 store[working] = values
-            admissible[working] = inside.astype(bool)
             # the next chord step would be smaller by the error of the Jacobian, 1e-3 or less
             working = working[np.linalg.norm(move / SCALE, axis=1) > 3e-9]
             if not len(working):

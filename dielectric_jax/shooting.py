@@ -104,7 +104,7 @@ class Shot(typing.NamedTuple):
 
     `lag` is λ2(1) − λa without cancellation, `height` z(1), `charge` C = Q/Φ. `columns` maps a direction to
     (∂lag, ∂volume). `trail` holds what was recorded after every step: times τ (inf once done) and ∂λ2/∂λa; or times,
-    raw values, and the function that turns a slice of both into R, λ1, λ2, θ.
+    raw values, and the function that turns a slice of both into R, dR/dτ, λ1, λ2, θ.
     """
 
     lag: Array
@@ -235,10 +235,10 @@ def integrate_membrane(
         times, values = marks
 
         def profile(rows):
-            """R, λ1, λ2, θ of the steps `rows` (a slice of the trail)."""
+            """R, dR/dτ, λ1, λ2, θ of the steps `rows` (a slice of the trail)."""
             tau, y = rows
-            radius, _ = jax.vmap(position)(jnp.where(jnp.isfinite(tau), tau, 1.0))
-            return radius, inputs[0] + y[:, 0], inputs[0] + y[:, 1], y[:, 2]
+            radius, stretching = jax.vmap(position)(jnp.where(jnp.isfinite(tau), tau, 1.0))
+            return radius, stretching, inputs[0] + y[:, 0], inputs[0] + y[:, 1], y[:, 2]
 
         marks = (times, values, profile)
     height, charge = (end[4], end[5]) if outputs else (None, None)
