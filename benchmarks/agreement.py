@@ -12,11 +12,8 @@ import sys
 import time
 import traceback
 
-import jax
-
-jax.config.update("jax_enable_x64", True)
-
 import contourpy
+import jax
 import numpy as np
 import truth
 from records import machine, write
@@ -24,6 +21,8 @@ from scipy.interpolate import CubicSpline, RectBivariateSpline, make_interp_spli
 from scipy.spatial import cKDTree
 
 import dielectric_jax as dj
+
+jax.config.update("jax_enable_x64", True)
 
 SCALE = np.array([1.0, 0.2, 0.02])  # distances are measured in these units of (λa, p, q)
 NODES = (280, 96)  # of the chart, along the stretch and the load
@@ -157,9 +156,9 @@ def resolve(scene: dict, chart: Chart):
     p0 = float(make_interp_spline(np.log(v[near - 3 : near + 4]), p[near - 3 : near + 4], k=5)(math.log(v0)))
     total = p0 + 50.0
     chamber = scene["chamber_volume"]
-    return dj.Chamber(volume=chamber, initial_volume=v0, atmospheric_pressure=50.0), lambda p, v: (
-        p - p0 - total * (v0 - v) / (v + chamber)
-    )
+    return dj.Chamber(
+        volume=chamber, initial_volume=v0, atmospheric_pressure=50.0
+    ), lambda p, v: p - p0 - total * (v0 - v) / (v + chamber)
 
 
 def scaled(*columns):
@@ -282,7 +281,9 @@ def _dense(branch):
     x, arc = x[keep], arc[keep]
     if len(x) < 4:
         return x
-    where = np.unique(np.concatenate([arc[i] + (arc[i + 1] - arc[i]) * np.arange(8) / 8 for i in range(len(arc) - 1)] + [arc[-1:]]))
+    where = np.unique(
+        np.concatenate([arc[i] + (arc[i + 1] - arc[i]) * np.arange(8) / 8 for i in range(len(arc) - 1)] + [arc[-1:]])
+    )
     return CubicSpline(arc, x)(where)
 
 
@@ -317,9 +318,17 @@ def compare(scene: dict, chart: Chart, condition, diagram) -> dict:
         for run in _runs((away > NEAR) & inner(line.t, line.apex)):
             length = float(np.linalg.norm(np.diff(line.x[run], axis=0), axis=1).sum())
             k = run.start + int(np.argmax(away[run]))
-            at = {"apex_stretch": line.apex[k], "pressure": line.p[k], "volume": line.v[k], "t": line.t[k], "length": length}
-            (wrong if length > NEAR else noted).append({"what": "branch missed", "closed": line.closed, "away": away[k]} | at)
-    for number, (branch, x) in enumerate(zip(diagram.branches, branches, strict=True)):
+            at = {
+                "apex_stretch": line.apex[k],
+                "pressure": line.p[k],
+                "volume": line.v[k],
+                "t": line.t[k],
+                "length": length,
+            }
+            (wrong if length > NEAR else noted).append(
+                {"what": "branch missed", "closed": line.closed, "away": away[k]} | at
+            )
+    for number, branch in enumerate(diagram.branches):
         t = branch.voltage_squared / truth.largest_load(branch.apex_stretch, chart.limit)
         own = np.stack([branch.apex_stretch, branch.pressure, branch.voltage_squared], axis=1) / SCALE
         away = np.min([distances(own, line.x) for line in lines], axis=0) if lines else np.full(len(own), np.inf)
@@ -341,7 +350,13 @@ def compare(scene: dict, chart: Chart, condition, diagram) -> dict:
             continue
         t = p.voltage_squared / float(truth.largest_load(p.apex_stretch, chart.limit))
         drawn.append(
-            {"kind": p.kind, "branch": p.branch, "apex_stretch": p.apex_stretch, "pressure": p.pressure, "volume": p.volume}
+            {
+                "kind": p.kind,
+                "branch": p.branch,
+                "apex_stretch": p.apex_stretch,
+                "pressure": p.pressure,
+                "volume": p.volume,
+            }
             | {"voltage_squared": p.voltage_squared, "load_fraction": t, "error_estimate": p.error_estimate}
         )
     largest = 0.0
@@ -360,7 +375,9 @@ def compare(scene: dict, chart: Chart, condition, diagram) -> dict:
             if not s["weak"]:
                 largest = max(largest, difference)
                 if difference > POSITION and inner(s["load_fraction"], s["apex_stretch"]):
-                    wrong.append({"what": f"{s['kind']} elsewhere", "difference": difference, "scan": s, "diagram": drawn[k]})
+                    wrong.append(
+                        {"what": f"{s['kind']} elsewhere", "difference": difference, "scan": s, "diagram": drawn[k]}
+                    )
         else:
             hard = inner(s["load_fraction"], s["apex_stretch"]) and not s["weak"]
             (wrong if hard else noted).append({"what": f"{s['kind']} missed", "scan": s})
@@ -394,7 +411,9 @@ def estimates(diagram, limit: float) -> dict:
         if t <= TOP and not p.error_estimate <= diagram.tolerance:
             entry = {"kind": p.kind, "apex_stretch": p.apex_stretch, "t": t, "error_estimate": p.error_estimate}
             out["special_points_above_tolerance"].append(entry)
-    out["flags"] = sorted({f for b in diagram.branches for f in b.flags} | {f for p in diagram.special_points for f in p.flags})
+    out["flags"] = sorted(
+        {f for b in diagram.branches for f in b.flags} | {f for p in diagram.special_points for f in p.flags}
+    )
     out["ends"] = sorted({c.name for b in diagram.branches for c in (b.start, b.end)})
     return out
 

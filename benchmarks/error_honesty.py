@@ -12,9 +12,6 @@ import sys
 import time
 
 import jax
-
-jax.config.update("jax_enable_x64", True)
-
 import numpy as np
 import truth
 from records import machine, write
@@ -22,6 +19,8 @@ from records import machine, write
 import dielectric_jax as dj
 from dielectric_jax.equilibria import polish
 from dielectric_jax.loading import Contour
+
+jax.config.update("jax_enable_x64", True)
 
 TOLERANCE, ALLOWED_RATIO = 1e-9, 10.0
 KINDS = ("voltage", "pressure", "chamber")
@@ -169,7 +168,10 @@ def against_scipy(states: dict, found: dict, count: int, seed: int) -> dict:
 def describe(states: dict, i: int) -> dict:
     """Everything that reproduces state i."""
     names = ("prestretch", "stretch_limit", "apex_stretch", "t", "q")
-    out = {n: float(states[n][i]) for n in names} | {"loading": KINDS[states["kind"][i]], "crowd": CROWDS[states["crowd"][i]]}
+    out = {n: float(states[n][i]) for n in names} | {
+        "loading": KINDS[states["kind"][i]],
+        "crowd": CROWDS[states["crowd"][i]],
+    }
     return out | ({"chamber_volume": float(states["chamber_volume"][i])} if states["kind"][i] == 2 else {})
 
 
@@ -178,7 +180,9 @@ def quantiles(values) -> dict:
     values = np.asarray(values)[np.isfinite(values)]
     if not len(values):
         return {}
-    return {name: float(np.quantile(values, x)) for name, x in (("0.5", 0.5), ("0.9", 0.9), ("0.99", 0.99), ("max", 1.0))}
+    return {
+        name: float(np.quantile(values, x)) for name, x in (("0.5", 0.5), ("0.9", 0.9), ("0.99", 0.99), ("max", 1.0))
+    }
 
 
 def main() -> int:

@@ -41,12 +41,12 @@ def lock_up(limit):
     return low
 
 
-def _rates(radius, y, pressure, q, limit):
-    """d/dR of λ1, λ2, θ, V."""
-    l1, l2, theta, _ = y
+def _rates(radius, y, apex, pressure, q, limit):
+    """d/dR of λ1 − λa, λ2 − λa, θ, V."""
+    l1, l2, theta = apex + y[0], apex + y[1], y[2]
     s1, s2, s11, s12 = gent(l1, l2, q, limit)
     sine, cosine = np.sin(theta), np.cos(theta)
-    lean = l1 * cosine - l2
+    lean = y[0] - y[1] - 2 * l1 * np.sin(theta / 2) ** 2  # λ1 cos θ − λ2
     return np.stack(
         [
             (s2 * cosine - s1 - s12 * lean) / (radius * s11),
@@ -64,21 +64,22 @@ def _start(apex, pressure, q, limit):
     of_a, of_b = 3 * s11 - s12, 3 * s12 - s11
     b = (force - of_a * kinematic) / (of_b + 3 * of_a)
     radius = _FIRST * np.minimum(1 / kappa, 1)
-    l1, l2 = apex + (kinematic + 3 * b) * radius**2, apex + b * radius**2
+    more1, more2 = (kinematic + 3 * b) * radius**2, b * radius**2
+    l1, l2 = apex + more1, apex + more2
     theta = np.arcsin(pressure * radius * l2**2 / (2 * gent(l1, l2, q, limit)[0]))
-    return radius, np.minimum(1 / kappa, 1), np.stack([l1, l2, theta, np.pi / 4 * apex**3 * kappa * radius**4])
+    return radius, np.minimum(1 / kappa, 1), np.stack([more1, more2, theta, np.pi / 4 * apex**3 * kappa * radius**4])
 
 
-def _correct(end, rate, pressure, rim):
-    """True p and V from the state at R = 1 of a shot at almost the right pressure, and the correction of log R."""
-    shift = (rim - end[1]) / rate[1]
+def _correct(end, rate, pressure, rise):
+    """True p and V from the end of a shot at almost the right pressure, and the correction of log R; `rise` is λ0 − λa."""
+    shift = (rise - end[1]) / rate[1]
     return pressure * np.exp(shift), (end[3] + rate[3] * shift) * np.exp(-3 * shift), shift
 
 
 def _fixed_grid(apex, pressure, q, limit, rim, steps):
     """Half of the steps grow geometrically towards the apex's radius of curvature, half are even in asinh beyond it."""
     first, scale, y = _start(apex, pressure, q, limit)
-    args = (pressure, q, limit)
+    args = (apex, pressure, q, limit)
     joint = 0.25 * scale
     phases = ((np.log(first), np.log(joint), lambda u: (np.exp(u), np.exp(u))),)
     phases += ((np.arcsinh(joint / scale), np.arcsinh(1 / scale), lambda u: (scale * np.sinh(u), scale * np.cosh(u))),)
@@ -95,7 +96,7 @@ def _fixed_grid(apex, pressure, q, limit, rim, steps):
             for row, c in zip(DOP853.A[1:], DOP853.C[1:], strict=True):
                 k.append(slope(at + c * h, y + h * sum(a * v for a, v in zip(row, k, strict=False) if a != 0)))
             y = y + h * sum(b * v for b, v in zip(DOP853.B, k, strict=True) if b != 0)
-    return _correct(y, _rates(np.ones_like(scale), y, *args), pressure, rim)
+    return _correct(y, _rates(np.ones_like(scale), y, *args), pressure, rim - apex)
 
 
 def exact(apex, pressure, q, limit, rim, steps=140):
@@ -117,12 +118,14 @@ def exact(apex, pressure, q, limit, rim, steps=140):
         np.abs(p2 - p1) / np.maximum(np.abs(p2), 1e-3), np.abs(v2 - v1) / np.maximum(np.abs(v2), 1e-3)
     )
     bad = ~(np.abs(shift) < 1e-6)
-    return [np.where(bad, np.nan, v).astype(v.dtype) for v in (p2, v2)] + [np.where(bad, np.inf, uncertain).astype(float)]
+    return [np.where(bad, np.nan, v).astype(v.dtype) for v in (p2, v2)] + [
+        np.where(bad, np.inf, uncertain).astype(float)
+    ]
 
 
 def exact_scipy(apex, pressure, q, limit, rim):
     """True p, V of one state by SciPy's DOP853 at a tolerance of 1e-13."""
-    args = (pressure, q, limit)
+    args = (apex, pressure, q, limit)
     first, _, y = _start(apex, pressure, q, limit)
     end = solve_ivp(_rates, (first, 1.0), y, method="DOP853", rtol=1e-13, atol=1e-17, args=args).y[:, -1]
-    return _correct(end, _rates(1.0, end, *args), pressure, rim)[:2]
+    return _correct(end, _rates(1.0, end, *args), pressure, rim - apex)[:2]

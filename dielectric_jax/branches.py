@@ -8,28 +8,20 @@ Hermite interpolant of every event function is searched for a hidden pair of roo
 
 import collections
 import dataclasses
-import functools
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from .chart import Scan, scan
-from .continuation import Steps, trace
-from .equilibria import SCALE, Points, compile_ahead, polish
-from .loading import ConstantVoltage, Contour
+from .equilibria import SCALE, Points, polish
+from .loading import Contour
 from .materials import largest_load
 from .membrane import Membrane
 from .results import Code
-from .scene import SCANNED_LOAD
-from .shooting import rim_with_columns
+from .tracing import run_traces
 
 __all__ = ["Curve", "find_curves"]
 
-_LANES = 8
-_STEPS = Steps(first=0.05, largest=1.0, smallest=5e-4, most_turn=0.35, most_correction=0.2, tolerance=1e-4)
-_TRACE_STEPS = (16.0, 44.0)  # grids of the continuation: the usual one, and where an inner layer forms
-_TOP_NEAR_LOCK_UP = 0.94
 _MOST_TURN = 0.3
 _CONE_WEIGHT = 2.0
 _MOST_APPROACH = 0.15  # change of log(1 − t) between neighbours; folds near the cone are about 1.2 apart
@@ -44,111 +36,6 @@ class Curve:
     start: Code
     end: Code
     flags: tuple[str, ...] = ()
-
-
-@functools.partial(jax.jit, static_argnames="steps")
-def _trace_program(material, prestretch, contour, limits, seeds, directions, active, accuracy, steps):
-    def linearise(u, args):
-        material, prestretch, contour, accuracy = args
-        lag, volume, columns = rim_with_columns(material, u, accuracy)
-        by_p, by_v, by_q = contour.slopes(volume)
-        rim = columns[:, 0].at[0].add(1.0)
-        condition = by_v * columns[:, 1] + jnp.stack([jnp.zeros_like(by_p), by_p, by_q])
-        value = jnp.stack([lag - (prestretch - u[0]), contour.residual(u[1], volume, u[2])])
-        return value, jnp.stack([rim, condition])
-
-    def residual(u, args):
-        return linearise(u, args)[0]
-
-    def margins(u, args):
-        fraction = u[2] / largest_load(args[0], u[0])
-        # where the grid of this accuracy ends: towards lock-up at a high load, and towards the cone
-        resolved = jnp.where(
-            args[3] >= _TRACE_STEPS[1],
-            1.0,
-            jnp.maximum(jnp.minimum(0.93 - fraction, limits[4] - u[0]), 0.72 - fraction),
-        )
-        # towards lock-up no grid resolves the membrane much beyond the scanned loads
-        top = jnp.where(u[0] < limits[4], limits[3], jnp.minimum(limits[3], _TOP_NEAR_LOCK_UP))
-        box = [u[0] - limits[0], limits[1] - u[0], fraction - limits[2], limits[3] - fraction, top - fraction]
-        return jnp.stack([*box, resolved])
-
-    codes = (
-        Code.window_stretch,
-        Code.lock_up,
-        Code.window_load,
-        Code.window_load,
-        Code.apex_cone,
-        Code.beyond_tolerance,
-    )
-
-    def lane(seed, direction, active):
-        return trace(
-            residual,
-            seed,
-            direction,
-            (material, prestretch, contour, accuracy),
-            scale=jnp.asarray(SCALE),
-            margins=margins,
-            codes=codes,
-            steps=steps,
-            linearise=linearise,
-            monitors=lambda u, args: jnp.log(jnp.maximum(1 - u[2] / largest_load(args[0], u[0]), 1e-6)),
-            active=active,
-        )
-
-    return jax.vmap(lane)(seeds, directions, active)
-
-
-def _run_traces(membrane, contour, limits, seeds, directions, accuracy=_TRACE_STEPS[0]):
-    """Traces from many seeds, in groups of one compiled shape: a list of (points, tangents, code).
-
-    A lane that leaves the region its grid resolves goes on from there on the finer grid.
-    """
-    found = []
-    for i in range(0, len(seeds), _LANES):
-        part, heading = np.array(seeds[i : i + _LANES]), np.array(directions[i : i + _LANES])
-        pad = _LANES - len(part)
-        active = np.arange(_LANES) < len(part)
-        part, heading = (np.pad(v, ((0, pad), (0, 0)), mode="edge") for v in (part, heading))
-        done = _trace_program(
-            membrane.material, membrane.prestretch, contour, limits, part, heading, active, accuracy, _STEPS
-        )
-        points, tangents, count, code = (np.asarray(v) for v in done[:4])
-        for k in range(int(active.sum())):
-            found.append((points[k, : count[k]], tangents[k, : count[k]], Code(int(code[k]))))
-    if accuracy < _TRACE_STEPS[1]:
-        stuck = (Code.beyond_tolerance, Code.step_too_small, Code.apex_cone)
-        more = [k for k, lane in enumerate(found) if lane[2] in stuck and len(lane[0]) > 1]
-        alone = [k for k, lane in enumerate(found) if lane[2] in stuck and len(lane[0]) <= 1]
-        # go on from the last point inside; a lane that never began starts again at its seed
-        starts = [found[k][0][-2] for k in more] + [seeds[k] for k in alone]
-        ways = [found[k][1][-2] for k in more] + [directions[k] for k in alone]
-        if starts:
-            finer = _run_traces(membrane, contour, limits, starts, ways, _TRACE_STEPS[1])
-            for k, (points, tangents, code) in zip(more + alone, finer, strict=True):
-                if k in more and len(points) < 2:
-                    found[k] = (found[k][0][:-1], found[k][1][:-1], Code.apex_cone)
-                    continue
-                head = found[k][0][:-2] if k in more else found[k][0][:0]
-                head_t = found[k][1][:-2] if k in more else found[k][1][:0]
-                found[k] = np.concatenate([head, points]), np.concatenate([head_t, tangents]), code
-    return found
-
-
-def warm_up(membrane: Membrane) -> None:
-    """Starts compiling what a diagram of this kind of membrane needs, all programs side by side."""
-    contour = ConstantVoltage(0.0).contour()
-    nothing = np.zeros((_LANES, 3))
-
-    def trace_nothing():
-        idle = np.zeros(_LANES, bool)
-        limits = np.ones(5)
-        _trace_program(
-            membrane.material, membrane.prestretch, contour, limits, nothing, nothing, idle, _TRACE_STEPS[0], _STEPS
-        )
-
-    compile_ahead(membrane, (trace_nothing,))
 
 
 _scans: collections.OrderedDict = collections.OrderedDict()
@@ -199,7 +86,7 @@ def _cone_measure(membrane, line) -> np.ndarray:
 def _on_points(material, apex) -> np.ndarray:
     """q_max(λa) of any number of points through one compiled shape."""
     padded = np.pad(apex, (0, -len(apex) % 512), mode="edge")
-    parts = [np.asarray(_limit(material, padded[i : i + 512])) for i in range(0, len(padded), 512)]
+    parts = [np.asarray(largest_load(material, padded[i : i + 512])) for i in range(0, len(padded), 512)]
     return np.concatenate(parts)[: len(apex)]
 
 
@@ -320,7 +207,7 @@ def find_curves(membrane: Membrane, contour: Contour, limits, *, count: int, tol
     limits = np.array([*box, 0.72 * membrane.lock_up_stretch()[0]])
 
     def inside(u):
-        fraction = u[2] / float(_limit(membrane.material, u[0]))
+        fraction = u[2] / float(largest_load(membrane.material, u[0]))
         return min(u[0] - box[0], box[1] - u[0], fraction - box[2], box[3] - fraction)
 
     lines = []
@@ -333,7 +220,7 @@ def find_curves(membrane: Membrane, contour: Contour, limits, *, count: int, tol
             headings += [heading, -heading]
         if not seeds:
             break
-        traced = _run_traces(membrane, contour, limits, seeds, headings)
+        traced = run_traces(membrane, contour, limits, seeds, headings)
         for k in range(0, len(traced), 2):
             joined = _join(traced[k], traced[k + 1])
             if joined is None:
@@ -362,9 +249,6 @@ def find_curves(membrane: Membrane, contour: Contour, limits, *, count: int, tol
         curves.append(curve)
     curves.sort(key=lambda c: c.points.volume.min())
     return curves, bool(complete)
-
-
-_limit = jax.jit(largest_load)
 
 
 def _name_end(code: Code, locks: bool) -> Code:
@@ -422,6 +306,3 @@ def _agrees(curve: Curve, contours, chart: Scan) -> bool:
     for vertices in contours:
         away = np.minimum(away, _distance_to_polyline(u[inside], vertices))
     return bool((away < 0.15).all())
-
-
-SCANNED = SCANNED_LOAD

@@ -215,13 +215,10 @@ def scan(membrane: Membrane, stretches, loads, refinement: int = _REFINEMENT) ->
     return Scan(
         apex,
         fine_t,
-        np.asarray(_limits(membrane.material, apex)),
+        np.asarray(largest_load(membrane.material, apex)),
         np.exp(fine[0]) * (1 - fine_t),
         np.exp(fine[1]),
     )
-
-
-_limits = jax.jit(largest_load)
 
 
 def edge_code(state: np.ndarray, stretches, loads, locks: bool, fraction: float) -> Code:

@@ -7,7 +7,7 @@ import dataclasses
 
 import numpy as np
 
-from .branches import Curve, find_curves, warm_up
+from .branches import Curve, find_curves
 from .critical import Located, brackets, fold_events, locate, special_points
 from .loading import Chamber, ConstantVoltage, Contour
 from .materials import largest_load
@@ -19,6 +19,7 @@ from .results import Code, SceneError
 from .scene import SCANNED_LOAD, Scene, Window, describe
 from .states import check_concrete, check_request, flat_state, states_of
 from .states import filling as filling_of
+from .tracing import warm_up
 
 __all__ = ["Diagram", "pressure_volume", "voltage_volume"]
 
@@ -271,6 +272,11 @@ def voltage_volume(scene: Scene, *, points: int = 256, tolerance: float = 1e-9) 
     )
 
 
+def _flat_point(membrane: Membrane, q: float, kind: str) -> SpecialPoint:
+    values = vars(flat_state(membrane, q))
+    return SpecialPoint(**values, kind=kind, branch=0, position=q)
+
+
 def _flat_diagram(scene: Scene, limits, points: int, tolerance: float) -> Diagram:
     """λ0 > 1 without pressure: one flat branch from the load window to the load at which the film goes slack."""
     membrane = scene.membrane
@@ -289,10 +295,7 @@ def _flat_diagram(scene: Scene, limits, points: int, tolerance: float) -> Diagra
     marks = [("zero_voltage", 0.0)] if low <= 0 <= high else []
     marks += [("breakdown", limit)] if limit <= min(high, 1.0) * slack else []
     marks += [("slack", slack)] if ends_slack else []
-    special = [
-        SpecialPoint(**dataclasses.asdict(flat_state(membrane, q)) | {"flags": ()}, kind=kind, branch=0, position=q)
-        for kind, q in sorted(marks, key=lambda m: m[1])
-    ]
+    special = [_flat_point(membrane, q, kind) for kind, q in sorted(marks, key=lambda m: m[1])]
     return Diagram(
         "voltage-volume", scene, [branch], special, True, tolerance, limits, _up=flat_ramp(special, states[-1])
     )

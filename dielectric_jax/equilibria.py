@@ -7,25 +7,18 @@ adaptively. Going from n/2 to n steps moves a state by δ; the method is of orde
 and δ/16 is reported, plus what rounding can do.
 """
 
-import concurrent.futures
 import dataclasses
-import functools
-import os
-from collections.abc import Callable
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from .loading import Contour
-from .materials import largest_load, stresses
-from .membrane import Membrane, field_ratio_squared, slopes
+from .materials import largest_load
+from .membrane import Membrane
+from .programs import await_programs, careful_program, jacobian_program, run_chunks, value_program
 from .scene import SCANNED_LOAD
-from .shooting import COLUMNS, integrate_membrane
 
 __all__ = ["Points", "polish"]
 
-CHUNK = 32  # lanes of one call; one compiled program serves every count of points
 SCALE = np.array([1.0, 0.2, 0.02])  # of (λa, p, q)
 EASY = (16.0, 32.0, 64.0)  # steps: of Newton, then of the residual
 HARD = (48.0, 96.0, 192.0, 320.0)  # where an inner layer forms: a high load near lock-up, or near the cone
@@ -33,128 +26,6 @@ ADAPTIVE = (10.0, 12.0)  # exponents of the tolerance of the careful path
 SAFETY = 16.0
 LEAST_ESTIMATE = 1e-13
 _ROUNDING = 2e-14  # relative to λa, p and V; measured
-
-
-@jax.jit
-def _jacobian_program(material, u, steps):
-    """lag, V, their columns by (λa, p, q), and the number of zeros of ∂λ2/∂λa in 0 < R < 1."""
-    shot = integrate_membrane(material, *u, steps, columns=COLUMNS, trail="sensitivity")
-    times, sensitivity = shot.trail
-    change = jnp.isfinite(times[1:])[:, None] & (sensitivity[1:] * sensitivity[:-1] < 0)
-    columns = jnp.stack([jnp.stack(shot.columns[c]) for c in COLUMNS])
-    return shot.lag, shot.volume, columns, jnp.sum(change, axis=0)
-
-
-def _least_inside(values, rates):
-    """Least value of the quintic Hermite interpolants about each inner node that is lower than its neighbours.
-
-    `values` and `rates` (per step) are (nodes, lanes) at equal steps; +inf where no inner node is.
-    """
-    before, here, after = values[:-2], values[1:-1], values[2:]
-    low = (here <= before) & (here <= after) & jnp.isfinite(before) & jnp.isfinite(after)
-    before, after = jnp.where(low, before, here), jnp.where(low, after, here)
-    slope = rates[1:-1]
-    even, odd = (after + before) / 2 - here, (after - before) / 2 - slope
-    rise, lift = (rates[2:] - rates[:-2]) / 2, (rates[2:] + rates[:-2]) / 2 - slope
-    a4, a5 = (rise - 2 * even) / 2, (lift - 3 * odd) / 2
-    a2, a3 = even - a4, odd - a5
-    x = jnp.zeros_like(here)
-    for _ in range(5):
-        first = slope + x * (2 * a2 + x * (3 * a3 + x * (4 * a4 + x * 5 * a5)))
-        second = 2 * a2 + x * (6 * a3 + x * (12 * a4 + x * 20 * a5))
-        x = jnp.clip(x - first / jnp.where(low & (second != 0), second, 1.0), -1.0, 1.0)
-    least = here + x * (slope + x * (a2 + x * (a3 + x * (a4 + x * a5))))
-    return jnp.min(jnp.where(low, jnp.minimum(least, here), jnp.inf), axis=0)
-
-
-_BLOCK = 32  # steps of a trail that are searched together; only as many blocks as there are steps
-
-
-@jax.jit
-def _careful_program(membrane, u, exponent):
-    """lag, V, height and C = Q/Φ by adaptive steps."""
-    shot = integrate_membrane(membrane.material, *u, exponent, outputs=True, adaptive=True)
-    return shot.lag, shot.volume, shot.height, shot.charge
-
-
-@jax.jit
-def _value_program(membrane, u, steps):
-    """lag, V, height, C = Q/Φ, least σ2 and largest (E/E_EB)²/q along the membrane, stretches admissible."""
-    apex, p, q = u
-    material = membrane.material
-    shot = integrate_membrane(material, apex, p, q, steps, outputs=True, trail="profile")
-    times, values, profile = shot.trail
-    # blocks overlap by two nodes, so that every inner node has both neighbours in one
-    padding = -(len(times) - 2) % _BLOCK
-    times = jnp.pad(times, (0, padding), constant_values=jnp.inf)
-    values = jnp.pad(values, ((0, padding), (0, 0), (0, 0)))
-
-    def hoop(l1, l2):
-        return l2 * stresses(material, l1, l2, q)[1]
-
-    def field(l1, l2):
-        return -field_ratio_squared(membrane.breakdown, l1, l2)
-
-    def search(block, found):
-        *least, admissible = found
-        tau = jax.lax.dynamic_slice_in_dim(times, block * _BLOCK, _BLOCK + 2)
-        rows = jax.lax.dynamic_slice_in_dim(values, block * _BLOCK, _BLOCK + 2)
-        done = jnp.isfinite(tau)[:, None]
-        radius, stretching, l1, l2, theta = profile((tau, jnp.where(done[..., None], rows, 0.0)))
-        rate1, rate2, _ = slopes(material, radius, l1, l2, theta, p, q)
-        for k, function in enumerate((hoop, field)):
-            value, rate = jax.jvp(function, (l1, l2), (rate1, rate2))
-            value = jnp.where(done, value, jnp.inf)
-            inner = _least_inside(value, jnp.where(done, rate * stretching / steps, 0.0))
-            least[k] = jnp.minimum(least[k], jnp.minimum(inner, jnp.min(value, axis=0)))
-        inside = jnp.all(material.admissible(l1, l2) | ~done, axis=0)
-        return *least, admissible & inside
-
-    count = jnp.sum(jnp.isfinite(times))
-    begin = hoop(apex, apex), field(apex, apex), material.admissible(apex, apex)
-    least, largest, admissible = jax.lax.fori_loop(0, (count - 2 + _BLOCK - 1) // _BLOCK, search, begin)
-    return shot.lag, shot.volume, shot.height, shot.charge, least, -largest, admissible
-
-
-@functools.cache
-def _threads() -> concurrent.futures.ThreadPoolExecutor:
-    return concurrent.futures.ThreadPoolExecutor(max(os.cpu_count() or 1, 1))
-
-
-_compiling: dict = {}
-
-
-def compile_ahead(membrane: Membrane, more: tuple[Callable, ...] = ()) -> None:
-    """Starts compiling the programs of this kind of membrane side by side, and `more`; `polish` waits for its own."""
-    key = jax.tree.structure(membrane)
-    if key not in _compiling:
-        u = np.tile(np.array([[float(membrane.prestretch) + 0.1], [0.1], [0.0]]), (1, CHUNK))
-        jobs = (
-            *more,
-            lambda: _jacobian_program(membrane.material, u, 2.0),
-            lambda: _value_program(membrane, u, 2.0),
-        )
-        pool = concurrent.futures.ThreadPoolExecutor(len(jobs))
-        _compiling[key] = [pool.submit(job) for job in jobs]
-        pool.shutdown(wait=False)
-
-
-def _await_programs(membrane: Membrane) -> None:
-    for job in _compiling.get(jax.tree.structure(membrane), ()):
-        job.result()
-
-
-def run_chunks(program: Callable, u: np.ndarray) -> list[np.ndarray]:
-    """`program` on lanes u of shape (3, lanes), in chunks of one compiled shape, on all cores."""
-    count = u.shape[1]
-    u = np.pad(u, ((0, 0), (0, -count % CHUNK)), mode="edge")
-    parts = [u[:, i : i + CHUNK] for i in range(0, u.shape[1], CHUNK)]
-
-    def work(part):
-        return [np.asarray(v) for v in program(part)]
-
-    done = [work(parts[0]), *(_threads().map(work, parts[1:]) if len(parts) > 1 else [])]
-    return [np.concatenate(pieces, axis=-1)[..., :count] for pieces in zip(*done, strict=True)]
 
 
 @dataclasses.dataclass
@@ -253,10 +124,7 @@ def is_hard(membrane: Membrane, apex_stretch: np.ndarray, load_fraction: np.ndar
 
 def load_fraction(membrane: Membrane, u: np.ndarray) -> np.ndarray:
     """t = q/q_max(λa) of points (3, lanes)."""
-    return u[2] / run_chunks(lambda part: [_limits(membrane.material, part[0])], u)[0]
-
-
-_limits = jax.jit(largest_load)
+    return u[2] / run_chunks(lambda part: [largest_load(membrane.material, part[0])], u)[0]
 
 
 def polish(
@@ -278,7 +146,7 @@ def polish(
     converged. `quick` stops after one residual on the finer grid; `refine` takes tangent and index from a finer grid at the end, `profile_steps` the extremes along the membrane. Lanes that fail have ok = False and never disturb the
     others.
     """
-    _await_programs(membrane)
+    await_programs(membrane)
     u, rows, targets = np.array(u, float), np.asarray(rows, float), np.asarray(targets, float)
     hard = is_hard(membrane, u[0], load_fraction(membrane, u))
     order, parts = [], []
@@ -337,7 +205,7 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, ladder, refin
             if not len(active):
                 break
             lag, volume[active], columns[..., active], zeros[active] = run_chunks(
-                lambda part: _jacobian_program(membrane.material, part, steps), u[:, active]
+                lambda part: jacobian_program(membrane.material, part, steps), u[:, active]
             )
             right, matrix[active] = system(active, lag, volume[active], columns[..., active])
             move = -_solve(matrix[active], right)
@@ -365,7 +233,7 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, ladder, refin
         first = np.full((lanes, 2), np.nan)
         working = active
         for _ in range(4):
-            program = _careful_program if adaptive else _value_program
+            program = careful_program if adaptive else value_program
             lag, vol, *rest = run_chunks(lambda part, run=program: run(membrane, part, steps), u[:, working])
             right, _ = system(working, lag, vol, columns[..., working])
             move = -_solve(matrix[working], right)
@@ -419,11 +287,11 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, ladder, refin
     which = np.flatnonzero(settled)
     if profile_steps and len(which):
         *_, result[3][which], result[4][which], _ = run_chunks(
-            lambda part: _value_program(membrane, part, profile_steps), u[:, which]
+            lambda part: value_program(membrane, part, profile_steps), u[:, which]
         )
     if refine and len(which):
         lag, vol, columns[..., which], zeros[which] = run_chunks(
-            lambda part: _jacobian_program(membrane.material, part, 3 * coarse), u[:, which]
+            lambda part: jacobian_program(membrane.material, part, 3 * coarse), u[:, which]
         )
         _, matrix[which] = system(which, lag, vol, columns[..., which])
     drift = np.linalg.norm((u - start).T / SCALE, axis=1)

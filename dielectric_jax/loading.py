@@ -10,9 +10,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ScalarLike
 
-from .materials import as_scalar, is_concrete
+from .materials import Scalar, as_scalar, is_concrete
 from .results import check_positive
 
 __all__ = ["AbstractLoading", "Chamber", "ConstantPressure", "ConstantVoltage", "Contour"]
@@ -29,14 +28,14 @@ class Contour(eqx.Module):
     (p_gas + p_atm)(V + V_C)ⁿ = (p_0 + p_atm)(V_0 + V_C)ⁿ; an exponent n = 0 is a gas of constant pressure.
     """
 
-    pressure_weight: ScalarLike
-    load_weight: ScalarLike
-    load: ScalarLike
-    chamber_volume: ScalarLike
-    initial_pressure: ScalarLike
-    initial_volume: ScalarLike
-    atmospheric_pressure: ScalarLike
-    exponent: ScalarLike
+    pressure_weight: Scalar
+    load_weight: Scalar
+    load: Scalar
+    chamber_volume: Scalar
+    initial_pressure: Scalar
+    initial_volume: Scalar
+    atmospheric_pressure: Scalar
+    exponent: Scalar
 
     def gas_pressure(self, volume):
         """p_gas(V), written so that nothing cancels for a huge chamber; elementwise."""
@@ -79,7 +78,7 @@ def _contour(**values) -> Contour:
 class ConstantVoltage(AbstractLoading):
     """The voltage is held and the pressure controlled: the pressure–volume curve."""
 
-    voltage: ScalarLike = eqx.field(default=0.0, converter=as_scalar)
+    voltage: Scalar = eqx.field(default=0.0, converter=as_scalar)
 
     def __check_init__(self):
         if is_concrete(self.voltage):
@@ -92,7 +91,7 @@ class ConstantVoltage(AbstractLoading):
 class ConstantPressure(AbstractLoading):
     """The pressure is held and the voltage controlled: p = `pressure`."""
 
-    pressure: ScalarLike = eqx.field(converter=as_scalar)
+    pressure: Scalar = eqx.field(converter=as_scalar)
 
     def __check_init__(self):
         if is_concrete(self.pressure):
@@ -110,13 +109,11 @@ class Chamber(AbstractLoading):
     `polytropic_exponent` n is 1 for an isothermal gas.
     """
 
-    volume: ScalarLike = eqx.field(converter=as_scalar)
-    initial_volume: ScalarLike | None = eqx.field(default=None, converter=lambda v: None if v is None else as_scalar(v))
-    initial_pressure: ScalarLike | None = eqx.field(
-        default=None, converter=lambda v: None if v is None else as_scalar(v)
-    )
-    atmospheric_pressure: ScalarLike = eqx.field(default=50.0, converter=as_scalar)
-    polytropic_exponent: ScalarLike = eqx.field(default=1.0, converter=as_scalar)
+    volume: Scalar = eqx.field(converter=as_scalar)
+    initial_volume: Scalar | None = eqx.field(default=None, converter=lambda v: None if v is None else as_scalar(v))
+    initial_pressure: Scalar | None = eqx.field(default=None, converter=lambda v: None if v is None else as_scalar(v))
+    atmospheric_pressure: Scalar = eqx.field(default=50.0, converter=as_scalar)
+    polytropic_exponent: Scalar = eqx.field(default=1.0, converter=as_scalar)
 
     def __check_init__(self):
         given = [n for n in ("initial_volume", "initial_pressure") if getattr(self, n) is not None]

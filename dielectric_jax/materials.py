@@ -9,13 +9,13 @@ and `admissible` is False.
 import abc
 import functools
 import math
+import typing
 from collections.abc import Callable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, ScalarLike
 
 from .results import check_positive
 
@@ -32,15 +32,17 @@ __all__ = [
     "stresses",
 ]
 
+Scalar: typing.TypeAlias = typing.Any  # a number, or the array or tracer that stands for one
+Elementwise: typing.TypeAlias = typing.Any  # floats of any one shape ("...",): numbers, arrays or tracers
 _VACUUM_PERMITTIVITY = 8.854e-12  # F/m, with the digits of the paper
 
 
 def is_concrete(value) -> bool:
     """Whether a value can be checked now, that is, no transformation is tracing it."""
-    return not isinstance(value, jax.core.Tracer)
+    return not isinstance(value, jax.core.Tracer)  # pyright: ignore[reportAttributeAccessIssue]
 
 
-def as_scalar(value: ScalarLike):
+def as_scalar(value: Scalar):
     """A float64 scalar, or the tracer that stands for one."""
     return jnp.asarray(value, dtype=float) if not is_concrete(value) else np.asarray(value, dtype=np.float64)
 
@@ -55,11 +57,11 @@ class AbstractMaterial(eqx.Module):
     """A free energy W(λ1, λ2); write `energy`, and the rest of the package follows."""
 
     @abc.abstractmethod
-    def energy(self, l1: Float[Array, "..."], l2: Float[Array, "..."]) -> Float[Array, "..."]:
+    def energy(self, l1: Elementwise, l2: Elementwise) -> Elementwise:
         """W(λ1, λ2) in units of the shear modulus, elementwise."""
 
     @abc.abstractmethod
-    def admissible(self, l1: Float[Array, "..."], l2: Float[Array, "..."]) -> Array:
+    def admissible(self, l1: Elementwise, l2: Elementwise) -> Elementwise:
         """Whether the stretches lie within the material's limits, elementwise."""
 
     @abc.abstractmethod
@@ -90,7 +92,7 @@ class Gent(AbstractMaterial):
     (2.006302521, True)
     """
 
-    stretch_limit: ScalarLike = eqx.field(default=270.0, converter=as_scalar)
+    stretch_limit: Scalar = eqx.field(default=270.0, converter=as_scalar)
 
     def __check_init__(self):
         if is_concrete(self.stretch_limit):
@@ -201,7 +203,7 @@ class ArrudaBoyce(AbstractMaterial):
     2.007391
     """
 
-    chain_links: ScalarLike = eqx.field(default=125.0, converter=as_scalar)
+    chain_links: Scalar = eqx.field(default=125.0, converter=as_scalar)
 
     def __check_init__(self):
         if is_concrete(self.chain_links) and not float(self.chain_links) > 1:
@@ -278,7 +280,7 @@ class AbstractBreakdown(eqx.Module):
     """The true electric field at which the dielectric fails, as a law of the stretch λ = √(λ1 λ2)."""
 
     @abc.abstractmethod
-    def field(self, stretch: Float[Array, "..."]) -> Float[Array, "..."]:
+    def field(self, stretch: Elementwise) -> Elementwise:
         """E_EB(λ) in units of √(μ/ε), elementwise."""
 
 
@@ -292,9 +294,9 @@ class VHBBreakdown(AbstractBreakdown):
     (0.930537444, 6.62931251)
     """
 
-    scale: ScalarLike = eqx.field(default=1.0, converter=as_scalar)
-    shear_modulus: ScalarLike = eqx.field(default=45e3, converter=as_scalar)
-    relative_permittivity: ScalarLike = eqx.field(default=4.7, converter=as_scalar)
+    scale: Scalar = eqx.field(default=1.0, converter=as_scalar)
+    shear_modulus: Scalar = eqx.field(default=45e3, converter=as_scalar)
+    relative_permittivity: Scalar = eqx.field(default=4.7, converter=as_scalar)
 
     def __check_init__(self):
         for name in ("scale", "shear_modulus", "relative_permittivity"):
@@ -309,8 +311,8 @@ class VHBBreakdown(AbstractBreakdown):
 class ConstantBreakdown(AbstractBreakdown):
     """A breakdown field that does not depend on the stretch, in units of √(μ/ε)."""
 
-    constant_field: ScalarLike = eqx.field(converter=as_scalar)
-    scale: ScalarLike = eqx.field(default=1.0, converter=as_scalar)
+    constant_field: Scalar = eqx.field(converter=as_scalar)
+    scale: Scalar = eqx.field(default=1.0, converter=as_scalar)
 
     def __check_init__(self):
         if is_concrete(self.constant_field):
@@ -324,7 +326,7 @@ class CustomBreakdown(AbstractBreakdown):
     """A user's law: `function(stretch)` gives E_EB in units of √(μ/ε), elementwise, written with jax.numpy."""
 
     function: Callable = eqx.field(static=True)
-    scale: ScalarLike = eqx.field(default=1.0, converter=as_scalar)
+    scale: Scalar = eqx.field(default=1.0, converter=as_scalar)
 
     def field(self, stretch):
         return self.scale * self.function(stretch)

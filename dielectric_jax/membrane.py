@@ -11,12 +11,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ScalarLike
 
 from .materials import (
     AbstractBreakdown,
     AbstractMaterial,
     Gent,
+    Scalar,
     VHBBreakdown,
     as_scalar,
     is_concrete,
@@ -29,7 +29,7 @@ __all__ = ["Membrane", "Profile"]
 
 def require_float64() -> None:
     """Raises unless JAX computes in float64."""
-    if not jax.config.jax_enable_x64:
+    if not jax.config.read("jax_enable_x64"):
         raise ValueError(
             "`dielectric_jax` must compute in float64, but JAX is set to float32; add the line "
             '`jax.config.update("jax_enable_x64", True)` before the first computation.'
@@ -44,7 +44,7 @@ class Membrane(eqx.Module):
     """
 
     material: AbstractMaterial = eqx.field(default_factory=Gent)
-    prestretch: ScalarLike = eqx.field(default=1.0, converter=as_scalar)
+    prestretch: Scalar = eqx.field(default=1.0, converter=as_scalar)
     breakdown: AbstractBreakdown = eqx.field(default_factory=VHBBreakdown)
 
     def __check_init__(self):

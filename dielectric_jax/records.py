@@ -72,7 +72,7 @@ class State:
 
     def to_json(self) -> dict:
         """The state under the names of the JSON contract; null where a quantity has no meaning."""
-        out = {"voltage_squared": self.voltage_squared, "voltage": self.voltage}
+        out: dict[str, Any] = {"voltage_squared": self.voltage_squared, "voltage": self.voltage}
         for name in QUANTITIES[1:]:
             out[name] = getattr(self, name)
         out["flags"] = list(self.flags)

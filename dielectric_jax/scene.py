@@ -3,6 +3,8 @@
 The scene decides what is integrated: which derivatives the loading's condition needs, and where the window ends.
 """
 
+import typing
+
 import equinox as eqx
 import numpy as np
 
@@ -50,7 +52,7 @@ class Window(eqx.Module):
     apex_stretch: tuple[float, float] | None = eqx.field(
         default=None, static=True, converter=lambda v: _pair("stretch_window", v)
     )
-    load_fraction: tuple[float, float] = eqx.field(
+    load_fraction: typing.Any = eqx.field(
         default=(-1.0, 1.0), static=True, converter=lambda v: (-1.0, 1.0) if v is None else _pair("load_window", v)
     )
 

@@ -95,6 +95,7 @@ def integrate(
         max_steps=MOST_STEPS + 1 if not adaptive else 2048,
         throw=False,
     )
+    assert solution.ys is not None
     end = solution.ys[0][-1]
     return (end, solution.ys[1]) if trail is not None else (end, None)
 
@@ -109,10 +110,10 @@ class Shot(typing.NamedTuple):
 
     lag: Array
     volume: Array
-    height: Array
-    charge: Array
+    height: typing.Any
+    charge: typing.Any
     columns: dict
-    trail: tuple | None
+    trail: typing.Any
 
 
 class Rim(typing.NamedTuple):
@@ -124,10 +125,10 @@ class Rim(typing.NamedTuple):
 
 def integrate_membrane(
     material: AbstractMaterial,
-    apex_stretch,
-    pressure,
-    q,
-    steps,
+    apex_stretch: typing.Any,
+    pressure: typing.Any,
+    q: typing.Any,
+    steps: typing.Any,
     *,
     columns: tuple = (),
     outputs: bool = False,
@@ -219,7 +220,7 @@ def integrate_membrane(
 
     record = {
         None: None,
-        "sensitivity": lambda y: 1.0 + y[apex_at + 1],
+        "sensitivity": lambda y: 1.0 + y[(apex_at or 0) + 1],
         "profile": lambda y: jnp.concatenate([y[:3], y[4:5]]) if heights else y[:3],
     }[trail]
     end, marks = integrate(field, jnp.stack(start), steps, trail=record, adaptive=adaptive)
@@ -232,6 +233,7 @@ def integrate_membrane(
         # scaling: λ2 depends on pR alone, V p³ likewise; at p = 0 the limits are 0 and V/p, which no lane asks for
         found["pressure"] = (rate[1] / inputs[1], (rate[3] - 3 * end[3]) / inputs[1])
     if trail == "profile":
+        assert marks is not None
         times, values = marks
 
         def profile(rows):
@@ -269,7 +271,8 @@ def shoot(material: AbstractMaterial, apex_stretch, pressure, voltage_squared, *
 
 @eqx.filter_custom_jvp
 def _shoot(inputs, steps):
-    shot = integrate_membrane(*inputs, steps)
+    material, apex_stretch, pressure, q = inputs
+    shot = integrate_membrane(material, apex_stretch, pressure, q, steps)
     return Rim(shot.lag, shot.volume)
 
 
@@ -285,7 +288,8 @@ def _(primals, tangents):
         if move is not None:
             wanted.append(leaf)
             weights.append(move)
-    shot = integrate_membrane(*inputs, steps, columns=tuple(wanted))
+    material, apex_stretch, pressure, q = inputs
+    shot = integrate_membrane(material, apex_stretch, pressure, q, steps, columns=tuple(wanted))
     lag, volume = (
         jnp.asarray(sum(shot.columns[c][i] * w for c, w in zip(wanted, weights, strict=True))) for i in (0, 1)
     )

@@ -1,6 +1,7 @@
 """Single states: `equilibrium`, flat films, the filling of a chamber; and points as records."""
 
 import math
+import typing
 
 import jax
 import numpy as np
@@ -8,7 +9,7 @@ import numpy as np
 from .branches import cached_scan
 from .chart import map_nodes, stretch_shares
 from .equilibria import Points, polish
-from .loading import ConstantPressure, ConstantVoltage
+from .loading import Chamber, ConstantPressure, ConstantVoltage
 from .materials import is_concrete, largest_load
 from .membrane import Membrane, require_float64
 from .records import State, voltage_of
@@ -71,15 +72,17 @@ def filling(scene: Scene, tolerance: float) -> tuple[float | None, float | None]
     flat = (0.0, 0.0)
     if isinstance(loading, ConstantPressure):
         filled = float(loading.pressure) > 0
+    elif not isinstance(loading, Chamber):
+        raise ValueError(f"`loading` must be a Chamber or a ConstantPressure, but is {loading!r}.")
     elif loading.initial_volume is not None:
         filled = float(loading.initial_volume) > 0
     else:
-        filled = float(loading.initial_pressure) > 0
+        filled = float(typing.cast(float, loading.initial_pressure)) > 0
     if not filled:
         if float(membrane.prestretch) == 1.0:
             raise SceneError(Code.flat_unstretched)
         return flat
-    if isinstance(loading, ConstantPressure):
+    if not isinstance(loading, Chamber):
         return None, None
     name = "initial_volume" if loading.initial_volume is not None else "initial_pressure"
     wanted = float(getattr(loading, name))
@@ -116,7 +119,7 @@ def _filled_state(membrane: Membrane, quantity: str, wanted: float, tolerance: f
         if found.ok[0] and found.error[0] <= tolerance:
             return states_of(found, tolerance)[0]
     try:  # near the peak of the pressure, or at the window's edge: the fine search
-        return equilibrium(membrane, voltage=0.0, tolerance=tolerance, **{quantity: wanted})
+        return equilibrium(membrane, voltage=0.0, tolerance=tolerance, **{quantity: wanted})  # pyright: ignore[reportArgumentType]
     except SceneError:
         return None
 
@@ -136,7 +139,7 @@ def equilibrium(
     all: bool = False,
     tolerance: float = 1e-9,
     window: Window | None = None,
-):
+) -> typing.Any:
     """The equilibrium at a voltage and one of pressure, volume or apex stretch: the one of smallest volume, stable or not.
 
     With `all=True` a list of every one in the window, ordered by volume. The index is that of prescribed pressure.

@@ -68,7 +68,9 @@ def test_the_map_is_differentiable():
         rough = (8 * (program(x + e) - program(x - e)) - (program(x + 2 * e) - program(x - 2 * e))) / (12 * h)
         np.testing.assert_allclose(jacobian[:, k], rough, rtol=1e-7, atol=1e-9)
     # λ2(1) = 1 along the chart: G_a da + G_p dp + G_q dq = 0
-    by = np.asarray(jax.jacfwd(lambda y: jnp.stack(dj.shoot(dj.Gent(), y[0], y[1], y[2], steps=128.0)))(jnp.array([apex, p, q])))
+    by = np.asarray(
+        jax.jacfwd(lambda y: jnp.stack(dj.shoot(dj.Gent(), y[0], y[1], y[2], steps=128.0)))(jnp.array([apex, p, q]))
+    )
     g, w = by[0] + np.array([1.0, 0, 0]), by[1]
     slope = np.array([-g[0] / g[1], -g[2] / g[1]])
     np.testing.assert_allclose(jacobian[0], slope, rtol=1e-8)

@@ -25,7 +25,10 @@ def ogden(l1, l2):
     return 0.8 * (l1**1.3 + l2**1.3 + l3**1.3 - 3) + 0.01 * (l1**5 + l2**5 + l3**5 - 3)
 
 
-CUSTOM = {"mooney": dj.CustomMaterial(mooney, largest_stretch=8.0), "ogden": dj.CustomMaterial(ogden, largest_stretch=5.0)}
+CUSTOM = {
+    "mooney": dj.CustomMaterial(mooney, largest_stretch=8.0),
+    "ogden": dj.CustomMaterial(ogden, largest_stretch=5.0),
+}
 
 energies = jax.jit(lambda material, l1, l2: material.energy(l1, l2))
 four = jax.jit(dj.stresses)
@@ -111,7 +114,9 @@ def test_gent_tangent_in_closed_form():
     assert float(s1) == pytest.approx(first / g - q * l1 * l2**2, rel=1e-14)
     assert float(s11) == pytest.approx((1 + 3 * l1**-4 * l2**-2) / g + 2 * first**2 / (j * g**2) - q * l2**2, rel=1e-14)
     second = l2 - l2**-3 * l1**-2
-    assert float(s12) == pytest.approx(2 * l1**-3 * l2**-3 / g + 2 * first * second / (j * g**2) - 2 * q * l1 * l2, rel=1e-14)
+    assert float(s12) == pytest.approx(
+        2 * l1**-3 * l2**-3 / g + 2 * first * second / (j * g**2) - 2 * q * l1 * l2, rel=1e-14
+    )
     assert float(s2) == pytest.approx(second / g - q * l1**2 * l2, rel=1e-14)
 
 
@@ -124,7 +129,10 @@ def test_gent_without_limit_is_neo_hookean():
         ):
             np.testing.assert_allclose(gent, neo, rtol=150 / limit, atol=150 / limit)
         np.testing.assert_allclose(
-            energies(dj.Gent(stretch_limit=limit), l1, l2), energies(dj.NeoHookean(), l1, l2), rtol=72 / limit, atol=1e-14
+            energies(dj.Gent(stretch_limit=limit), l1, l2),
+            energies(dj.NeoHookean(), l1, l2),
+            rtol=72 / limit,
+            atol=1e-14,
         )
 
 
@@ -229,7 +237,9 @@ def test_arruda_boyce_with_long_chains_is_neo_hookean():
         assert float(chain) == pytest.approx(float(neo), rel=1e-8)
 
 
-@pytest.mark.parametrize("material", [dj.Gent(stretch_limit=270.0), dj.ArrudaBoyce(chain_links=125.0)], ids=["gent", "chain"])
+@pytest.mark.parametrize(
+    "material", [dj.Gent(stretch_limit=270.0), dj.ArrudaBoyce(chain_links=125.0)], ids=["gent", "chain"]
+)
 def test_beyond_the_limit_everything_is_finite_and_flagged(material):
     edge = math.sqrt((limit_of(material) + 3) / 2)
 

@@ -20,7 +20,9 @@ def drawn_states():
     for k in range(6):
         prestretch = 1.0 if k < 2 else rng.uniform(1.0, 3.0)
         material = dj.Gent(stretch_limit=math.exp(rng.uniform(math.log(50), math.log(1000))))
-        out.append((dj.Membrane(material=material, prestretch=prestretch), rng.uniform(0.02, 0.1), rng.uniform(0.8, 30.0)))
+        out.append(
+            (dj.Membrane(material=material, prestretch=prestretch), rng.uniform(0.02, 0.1), rng.uniform(0.8, 30.0))
+        )
     # below the first stretch of lock-up, with their own limits
     out.append((dj.Membrane(material=dj.ArrudaBoyce(chain_links=rng.uniform(60, 200)), prestretch=1.4), 0.08, 12.0))
     out.append((dj.Membrane(material=dj.NeoHookean(), prestretch=2.0), 0.05, 8.0))
@@ -149,7 +151,9 @@ def neo_hookean_pressure(apex_stretch):
         a, s0 = apex_stretch, stress(apex_stretch, apex_stretch)
         s11, s12 = 1 + 3 * a**-6, 2 * a**-6
         kappa = p * a**2 / (2 * s0)
-        curve1, curve2 = np.linalg.solve([[1, -3], [3 * s11 - s12, 3 * s12 - s11]], [a * kappa**2 / 2, -s0 * kappa**2 / 2])
+        curve1, curve2 = np.linalg.solve(
+            [[1, -3], [3 * s11 - s12, 3 * s12 - s11]], [a * kappa**2 / 2, -s0 * kappa**2 / 2]
+        )
         first = 1e-3
         l1, l2 = a + curve1 * first**2, a + curve2 * first**2
         start = [l1, l2, math.asin(p * first * l2**2 / (2 * stress(l1, l2)))]
@@ -159,9 +163,7 @@ def neo_hookean_pressure(apex_stretch):
 
 
 def test_neo_hookean_peak():
-    peak = next(
-        p for p in dj.pressure_volume(dj.Membrane(material=dj.NeoHookean())).special_points if p.kind == "fold"
-    )
+    peak = next(p for p in dj.pressure_volume(dj.Membrane(material=dj.NeoHookean())).special_points if p.kind == "fold")
     assert peak.volume == pytest.approx(2.796672, abs=6e-7)
     assert peak.apex_stretch == pytest.approx(2.195945, abs=6e-7)
     # at a peak the place does not matter to first order

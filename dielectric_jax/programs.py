@@ -1,0 +1,142 @@
+"""The compiled programs of a membrane, each for a fixed number of lanes, and how any number of points goes through them."""
+
+import concurrent.futures
+import functools
+import os
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .materials import stresses
+from .membrane import Membrane, field_ratio_squared, slopes
+from .shooting import COLUMNS, integrate_membrane
+
+__all__ = ["careful_program", "compile_ahead", "jacobian_program", "run_chunks", "value_program"]
+
+CHUNK = 32  # lanes of one call; one compiled program serves every count of points
+
+
+@jax.jit
+def jacobian_program(material, u, steps):
+    """lag, V, their columns by (λa, p, q), and the number of zeros of ∂λ2/∂λa in 0 < R < 1."""
+    apex, p, q = u
+    shot = integrate_membrane(material, apex, p, q, steps, columns=COLUMNS, trail="sensitivity")
+    times, sensitivity = shot.trail
+    change = jnp.isfinite(times[1:])[:, None] & (sensitivity[1:] * sensitivity[:-1] < 0)
+    columns = jnp.stack([jnp.stack(shot.columns[c]) for c in COLUMNS])
+    return shot.lag, shot.volume, columns, jnp.sum(change, axis=0)
+
+
+def _least_inside(values, rates):
+    """Least value of the quintic Hermite interpolants about each inner node that is lower than its neighbours.
+
+    `values` and `rates` (per step) are (nodes, lanes) at equal steps; +inf where no inner node is.
+    """
+    before, here, after = values[:-2], values[1:-1], values[2:]
+    low = (here <= before) & (here <= after) & jnp.isfinite(before) & jnp.isfinite(after)
+    before, after = jnp.where(low, before, here), jnp.where(low, after, here)
+    slope = rates[1:-1]
+    even, odd = (after + before) / 2 - here, (after - before) / 2 - slope
+    rise, lift = (rates[2:] - rates[:-2]) / 2, (rates[2:] + rates[:-2]) / 2 - slope
+    a4, a5 = (rise - 2 * even) / 2, (lift - 3 * odd) / 2
+    a2, a3 = even - a4, odd - a5
+    x = jnp.zeros_like(here)
+    for _ in range(5):
+        first = slope + x * (2 * a2 + x * (3 * a3 + x * (4 * a4 + x * 5 * a5)))
+        second = 2 * a2 + x * (6 * a3 + x * (12 * a4 + x * 20 * a5))
+        x = jnp.clip(x - first / jnp.where(low & (second != 0), second, 1.0), -1.0, 1.0)
+    least = here + x * (slope + x * (a2 + x * (a3 + x * (a4 + x * a5))))
+    return jnp.min(jnp.where(low, jnp.minimum(least, here), jnp.inf), axis=0)
+
+
+_BLOCK = 32  # steps of a trail that are searched together; only as many blocks as there are steps
+
+
+@jax.jit
+def careful_program(membrane, u, exponent):
+    """lag, V, height and C = Q/Φ by adaptive steps."""
+    apex, p, q = u
+    shot = integrate_membrane(membrane.material, apex, p, q, exponent, outputs=True, adaptive=True)
+    return shot.lag, shot.volume, shot.height, shot.charge
+
+
+@jax.jit
+def value_program(membrane, u, steps):
+    """lag, V, height, C = Q/Φ, least σ2 and largest (E/E_EB)²/q along the membrane, stretches admissible."""
+    apex, p, q = u
+    material = membrane.material
+    shot = integrate_membrane(material, apex, p, q, steps, outputs=True, trail="profile")
+    times, values, profile = shot.trail
+    # blocks overlap by two nodes, so that every inner node has both neighbours in one
+    padding = -(len(times) - 2) % _BLOCK
+    times = jnp.pad(times, (0, padding), constant_values=jnp.inf)
+    values = jnp.pad(values, ((0, padding), (0, 0), (0, 0)))
+
+    def hoop(l1, l2):
+        return l2 * stresses(material, l1, l2, q)[1]
+
+    def field(l1, l2):
+        return -field_ratio_squared(membrane.breakdown, l1, l2)
+
+    def search(block, found):
+        *least, admissible = found
+        tau = jax.lax.dynamic_slice_in_dim(times, block * _BLOCK, _BLOCK + 2)
+        rows = jax.lax.dynamic_slice_in_dim(values, block * _BLOCK, _BLOCK + 2)
+        done = jnp.isfinite(tau)[:, None]
+        radius, stretching, l1, l2, theta = profile((tau, jnp.where(done[..., None], rows, 0.0)))
+        rate1, rate2, _ = slopes(material, radius, l1, l2, theta, p, q)
+        for k, function in enumerate((hoop, field)):
+            value, rate = jax.jvp(function, (l1, l2), (rate1, rate2))
+            value = jnp.where(done, value, jnp.inf)
+            inner = _least_inside(value, jnp.where(done, rate * stretching / steps, 0.0))
+            least[k] = jnp.minimum(least[k], jnp.minimum(inner, jnp.min(value, axis=0)))
+        inside = jnp.all(material.admissible(l1, l2) | ~done, axis=0)
+        return *least, admissible & inside
+
+    count = jnp.sum(jnp.isfinite(times))
+    begin = hoop(apex, apex), field(apex, apex), material.admissible(apex, apex)
+    least, largest, admissible = jax.lax.fori_loop(0, (count - 2 + _BLOCK - 1) // _BLOCK, search, begin)
+    return shot.lag, shot.volume, shot.height, shot.charge, least, -largest, admissible
+
+
+@functools.cache
+def _threads() -> concurrent.futures.ThreadPoolExecutor:
+    return concurrent.futures.ThreadPoolExecutor(max(os.cpu_count() or 1, 1))
+
+
+_compiling: dict = {}
+
+
+def compile_ahead(membrane: Membrane, more: tuple[Callable, ...] = ()) -> None:
+    """Starts compiling the programs of this kind of membrane side by side, and `more`; `polish` waits for its own."""
+    key = jax.tree.structure(membrane)
+    if key not in _compiling:
+        u = np.tile(np.array([[float(membrane.prestretch) + 0.1], [0.1], [0.0]]), (1, CHUNK))
+        jobs = (
+            *more,
+            lambda: jacobian_program(membrane.material, u, 2.0),
+            lambda: value_program(membrane, u, 2.0),
+        )
+        pool = concurrent.futures.ThreadPoolExecutor(len(jobs))
+        _compiling[key] = [pool.submit(job) for job in jobs]
+        pool.shutdown(wait=False)
+
+
+def await_programs(membrane: Membrane) -> None:
+    for job in _compiling.get(jax.tree.structure(membrane), ()):
+        job.result()
+
+
+def run_chunks(program: Callable, u: np.ndarray) -> list[np.ndarray]:
+    """`program` on lanes u of shape (3, lanes), in chunks of one compiled shape, on all cores."""
+    count = u.shape[1]
+    u = np.pad(u, ((0, 0), (0, -count % CHUNK)), mode="edge")
+    parts = [u[:, i : i + CHUNK] for i in range(0, u.shape[1], CHUNK)]
+
+    def work(part):
+        return [np.asarray(v) for v in program(part)]
+
+    done = [work(parts[0]), *(_threads().map(work, parts[1:]) if len(parts) > 1 else [])]
+    return [np.concatenate(pieces, axis=-1)[..., :count] for pieces in zip(*done, strict=True)]

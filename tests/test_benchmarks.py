@@ -1,0 +1,52 @@
+"""Every benchmark runs in its quick setting and writes a record that can be read again."""
+
+import json
+import pathlib
+import subprocess
+import sys
+
+import pytest
+
+BENCHMARKS = pathlib.Path(__file__).parent.parent / "benchmarks"
+
+
+def quick(script: str, tmp_path) -> tuple[dict, str]:
+    """The JSON document of one run, and what it said."""
+    pytest.importorskip("scipy")
+    file = tmp_path / "record.json"
+    done = subprocess.run(
+        [sys.executable, BENCHMARKS / script, "--quick", "--json", file], capture_output=True, text=True, check=False
+    )
+    assert file.exists(), done.stderr
+    return json.loads(file.read_text()), done.stderr
+
+
+def test_the_estimates_of_a_few_states_are_honest(tmp_path):
+    record, said = quick("error_honesty.py", tmp_path)
+    counts = record["counts"]
+    assert counts["states"] == counts["converged"] == 12, said
+    assert counts["exceptions"] == counts["ratio_above_allowed"] == counts["truth_not_sharp_enough"] == 0, said
+    assert record["ratio"]["max"] <= 10
+    # the truth itself, which SciPy's integrator in double precision meets
+    assert record["truth_against_scipy"]["largest_difference"] < 1e-9
+
+
+def test_two_diagrams_agree_with_a_finer_scan(tmp_path):
+    record, said = quick("agreement.py", tmp_path)
+    assert record["counts"]["agreement"] == record["counts"]["scenes"] == 2, said
+    assert record["largest_difference"] < 1e-6
+    assert record["counts"]["fold"] == 2  # the second scene snaps: without a fold nothing was compared
+    assert all(r["complete"] for r in record["records"])
+
+
+def test_the_first_diagram_is_measured_and_right(tmp_path):
+    record, said = quick("first_diagram.py", tmp_path)
+    names = [r["name"] for r in record["records"]]
+    assert names == ["first_diagram: empty cache", "first_diagram: filled cache", "first_diagram: warm"], said
+    for r in record["records"]:
+        assert r["error"] < 1e-9
+        assert 0 < r["seconds_per_diagram"] < 600
+        assert {"engine", "parameters", "compile_seconds", "counts", "machine", "calibration_seconds"} <= set(r)
+    empty, filled, warm = record["records"]
+    assert filled["compile_seconds"] < empty["compile_seconds"]
+    assert warm["seconds_per_diagram"] < filled["seconds_per_diagram"]
