@@ -7,6 +7,7 @@ four times the package's own nodes, in other variables. The comparison covers th
 """
 
 import argparse
+import copy
 import math
 import sys
 import time
@@ -30,6 +31,7 @@ FINE = (1400, 500)  # of the contoured grid
 TOP, BOTTOM = 0.9, -1.0
 EDGE = 0.01  # in t, and as a share of the stretch: what lies this close to the window's edge is only noted
 NOISE = 2e-6  # an extremum of q less prominent than this, relative to max(|q|, 1e-3), is near-degenerate
+SPLINE = 1e-6  # where splines and explicit map differ more than this, a contour is mended by the map
 NEAR = 0.03  # distance at which a branch counts as the same
 POSITION = 2e-5  # allowed difference of a special point's q, relative to max(|q|, 1e-3)
 
@@ -92,6 +94,13 @@ class Chart:
         p = np.exp(self.log_p.ev(x, y)) * (1 - t)
         return apex, p, np.exp(self.log_v.ev(x, y)), t * truth.largest_load(apex, self.limit), t
 
+    def mapped(self, x, y):
+        """The same as `state`, by the explicit map itself instead of the splines."""
+        apex, t = self.apex(x), self.load(y)
+        q = t * truth.largest_load(apex, self.limit)
+        p, v, _ = explicit(self.limit, apex, q, self.rim, 300.0, chunk=160)
+        return apex, p, v, q, t
+
     def unloaded(self):
         """λa, p, V along zero voltage."""
         x = np.linspace(0, 1, 8000)
@@ -106,22 +115,22 @@ class Chart:
         found = contourpy.contour_generator(y, x, value, name="serial").lines(0.0)
         return [self.onto(line[:, ::-1], condition) for line in found if len(line) > 2]
 
-    def onto(self, points, condition):
+    def onto(self, points, condition, state=None):
         """Points (n, 2) moved onto the contour along the gradient."""
         points = np.array(points)
-        h = 1e-6
+        state, h = state or self.state, 1e-6
 
         def value(x, y):
-            return condition(*self.state(x, y)[1:3])
+            return condition(*state(x, y)[1:3])
 
         for _ in range(4):
             x, y = points.T
             g = value(x, y)
-            slope = np.stack([value(x + h, y) - value(x - h, y), value(x, y + h) - value(x, y - h)], axis=1) / (2 * h)
+            slope = np.stack([value(x + h, y) - g, value(x, y + h) - g], axis=1) / h
             with np.errstate(all="ignore"):
                 move = -(g / (slope**2).sum(axis=1))[:, None] * slope
             move = np.where(np.isfinite(move) & (np.abs(move) < 0.01), move, 0.0)
-            points = np.clip(points + move, 0, 1)
+            points = np.clip(points + move, 0, 1 - h)
         return points
 
 
@@ -209,13 +218,34 @@ class Line:
             points = np.concatenate([points, points[: len(points) // 5]])  # overlaps, so that no extremum is at an end
         self.chart, self.points, self.condition, self.breakdown = chart, points, condition, breakdown
         self.apex, self.p, self.v, self.q, self.t = chart.state(*points.T)
+        self.unresolved = self._resolve()
         self.x = scaled(self.apex, self.p, self.q)
         self.length = float(np.linalg.norm(np.diff(self.x, axis=0), axis=1).sum())
 
+    def _resolve(self):
+        """Mends vertices where the splines err (the chart has a cliff towards lock-up above t = 0.6); those mended."""
+        steep = np.flatnonzero((self.t > 0.4) & (self.apex - self.chart.rim > 0.4 * (self.chart.end - self.chart.rim)))
+        mended = np.zeros(len(self.t), bool)
+        if not len(steep):
+            return mended
+        p, v = self.chart.mapped(*self.points[steep].T)[1:3]
+        with np.errstate(all="ignore"):
+            wrong = ~(np.maximum(np.abs(p / self.p[steep] - 1), np.abs(v / self.v[steep] - 1)) < SPLINE)
+        which = steep[wrong]
+        if len(which):
+            mended[which] = True
+            self.points[which] = self.chart.onto(self.points[which], self.condition, self.chart.mapped)
+            columns = self.chart.mapped(*self.points[which].T)
+            size = np.abs(self.condition(*columns[1:3])) / columns[1]
+            for own, values in zip((self.apex, self.p, self.v, self.q, self.t), columns, strict=True):
+                own[which] = np.where(size < 1e-4, values, np.nan)  # not a contour at all
+        return mended
+
     def _between(self, i, j):
         share = np.linspace(0, 1, 41)[:, None]
-        points = self.chart.onto(self.points[i] * (1 - share) + self.points[j] * share, self.condition)
-        return self.chart.state(*points.T)
+        state = self.chart.mapped if self.unresolved[i : j + 1].any() else self.chart.state
+        points = self.chart.onto(self.points[i] * (1 - share) + self.points[j] * share, self.condition, state)
+        return state(*points.T)
 
     def _fold(self, i):
         apex, p, v, q, t = self._between(max(i - 2, 0), min(i + 2, len(self.q) - 1))
@@ -258,6 +288,22 @@ class Line:
                     unique.append(r)
             records = unique
         return records
+
+    def pieces(self) -> "list[Line]":
+        """The runs of vertices that lie on a contour, as lines."""
+        good = np.isfinite(self.q)
+        if good.all():
+            return [self]
+        out = []
+        for run in _runs(good):
+            if run.stop - run.start > 3:
+                piece = copy.copy(self)
+                piece.closed = False
+                for name in ("points", "apex", "p", "v", "q", "t", "x", "unresolved"):
+                    setattr(piece, name, getattr(self, name)[run])
+                piece.length = float(np.linalg.norm(np.diff(piece.x, axis=0), axis=1).sum())
+                out.append(piece)
+        return out
 
     def _ratio(self, apex):
         return (apex**2 / np.asarray(self.breakdown.field(apex))) ** 2
@@ -305,7 +351,7 @@ def compare(scene: dict, chart: Chart, condition, diagram) -> dict:
     """What differs between a diagram and the contours of the finer scan."""
     law = diagram.scene.membrane.breakdown
     lines = [Line(chart, points, condition, law) for points in chart.lines(condition)]
-    lines = [line for line in lines if line.length > 1e-2]
+    lines = [piece for line in lines for piece in line.pieces() if piece.length > 1e-2]
     branches = [_dense(b) for b in diagram.branches]
     wrong, noted = [], []
 
@@ -388,6 +434,7 @@ def compare(scene: dict, chart: Chart, condition, diagram) -> dict:
     kinds = {k: sum(s["kind"] == k and not s["weak"] for s in scanned) for k in ("fold", "zero_voltage", "breakdown")}
     return {
         "lines": len(lines),
+        "mended_vertices": int(sum(line.unresolved.sum() for line in lines)),
         "branches": len(branches),
         "pieces": counts[0],
         "scan": kinds,

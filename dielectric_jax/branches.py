@@ -79,11 +79,11 @@ def hermite(x0, x1, t0, t1, length, share):
 
 def _cone_measure(membrane, line) -> np.ndarray:
     """−log(1 − t): it counts the folds that accumulate towards the cone at the apex."""
-    fraction = line[:, 2] * SCALE[2] / np.asarray(_on_points(membrane.material, line[:, 0]))
+    fraction = line[:, 2] * SCALE[2] / np.asarray(largest_on(membrane.material, line[:, 0]))
     return -_CONE_WEIGHT * np.log(np.maximum(1 - fraction, 1e-6))
 
 
-def _on_points(material, apex) -> np.ndarray:
+def largest_on(material, apex) -> np.ndarray:
     """q_max(λa) of any number of points through one compiled shape."""
     padded = np.pad(apex, (0, -len(apex) % 512), mode="edge")
     parts = [np.asarray(largest_load(material, padded[i : i + 512])) for i in range(0, len(padded), 512)]
@@ -132,20 +132,27 @@ def _clip_to_window(line, tangents, inside, end):
     tangents[end] /= np.linalg.norm(tangents[end])
 
 
-def _exact_curve(membrane, contour, line, tangents, codes, count, tolerance, limits) -> Curve | None:
+def _exact_curve(membrane, contour, line, tangents, codes, count, tolerance, chart) -> Curve | None:
     """The traced branch as exact points: stations, Newton, refinement where the tangent turns, honest ends."""
     at, normal = _resample(membrane, line, tangents, count)
+    # at the flat end p falls like a power of λa − λ0, which no Hermite cubic follows: start on the scan
+    flat = at[:, 0] - float(membrane.prestretch) < 0.02
+    if flat.any():
+        load = at[flat, 2] * SCALE[2] / largest_on(membrane.material, at[flat, 0])
+        at[flat, 1] = chart.pressure_of(at[flat, 0], load) / SCALE[1]
     target = (normal * at).sum(axis=1)
     points = polish(membrane, contour, (at * SCALE).T, normal / SCALE, target, tolerance=tolerance, reach=0.5)
     points.tangent = points.tangent * np.where((points.tangent * normal).sum(axis=1) < 0, -1.0, 1.0)[:, None]
     good = np.flatnonzero(points.ok & (points.error <= tolerance))
+    fraction = points.u[2] / largest_on(membrane.material, np.nan_to_num(points.u[0], nan=2.0))
     if len(good) < 2:
         return None
     codes = list(codes)
     # beyond the scanned loads a branch is followed only as far as its error estimate allows
     for end, lost in ((0, good[0] > 0), (1, good[-1] < len(points) - 1)):
         if lost:
-            codes[end] = Code.apex_cone
+            outer = good[0] if end == 0 else good[-1]
+            codes[end] = Code.apex_cone if fraction[outer] > 0.5 else Code.beyond_tolerance
     points, gaps = points.take(good), np.flatnonzero(np.diff(good) > 1)
     flags = []
     if len(gaps):  # lanes that Newton lost between good ones: once more, from better starts
@@ -241,7 +248,7 @@ def find_curves(membrane: Membrane, contour: Contour, limits, *, count: int, tol
         for end in (0, -1):
             _clip_to_window(x, tangents, inside, end)
         codes = [_name_end(c, locks) for c in codes]
-        curve = _exact_curve(membrane, contour, x, tangents, codes, count, tolerance, limits)
+        curve = _exact_curve(membrane, contour, x, tangents, codes, count, tolerance, chart)
         if curve is None:
             complete = False
             continue

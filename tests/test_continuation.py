@@ -13,6 +13,7 @@ import dielectric_jax as dj
 from dielectric_jax import Code, Steps, trace
 
 ONES = np.ones(2)
+USUAL = Steps()
 
 
 def box(low, high):
@@ -26,8 +27,10 @@ def box(low, high):
 
 
 @functools.partial(jax.jit, static_argnames=("residual", "margins", "codes", "steps"))
-def run(residual, start, direction, margins, codes, steps=Steps(), scale=ONES, args=None, active=True):
-    return trace(residual, start, direction, args, scale=scale, margins=margins, codes=codes, steps=steps, active=active)
+def run(residual, start, direction, margins, codes, steps=USUAL, scale=ONES, args=None, active=True):
+    return trace(
+        residual, start, direction, args, scale=scale, margins=margins, codes=codes, steps=steps, active=active
+    )
 
 
 def points(found):
@@ -146,7 +149,7 @@ def test_a_wavy_curve_has_every_fold(count):
 
 
 def test_a_sharp_fold_needs_small_steps_and_gets_them():
-    """A fold of radius 1e-3 in a curve of length 20: u1² = 1e-3 (u0 + …), a thin parabola."""
+    """u1 = 500 u0² has the radius 1e-3 at its fold, a thousandth of the largest step and 10⁴ smallest ones."""
 
     def parabola(u, args):
         return jnp.array([u[1] - 500 * u[0] ** 2])
@@ -185,7 +188,12 @@ def test_codes_of_lanes_that_fail():
     assert Code(int(short.code)) is Code.too_many_points and int(short.count) == 5
     idle = run(circle, np.array([1.0, 0.0]), np.array([0.0, 1.0]), **box([-2, -2], [2, 2]), active=False)
     assert Code(int(idle.code)) is Code.not_converged and int(idle.count) == 0
-    corner = run(lambda u, args: jnp.array([u[1] - jnp.abs(u[0])]), np.array([-1.0, 1.0]), np.array([1.0, -1.0]), **box([-2, -2], [2, 2]))
+    corner = run(
+        lambda u, args: jnp.array([u[1] - jnp.abs(u[0])]),
+        np.array([-1.0, 1.0]),
+        np.array([1.0, -1.0]),
+        **box([-2, -2], [2, 2]),
+    )
     assert Code(int(corner.code)) is Code.step_too_small
     assert abs(points(corner)[0][-1]).max() < 1e-3
 
@@ -204,7 +212,13 @@ def test_a_lane_that_fails_leaves_the_others_alone():
         return trace(residual, start, jnp.array([0.0, 1.0]), size, scale=ONES, **limits)
 
     together = jax.jit(jax.vmap(lane))(sizes, starts)
-    assert [Code(int(c)).name for c in together.code] == ["closed", "step_too_small", "closed", "step_too_small", "closed"]
+    assert [Code(int(c)).name for c in together.code] == [
+        "closed",
+        "step_too_small",
+        "closed",
+        "step_too_small",
+        "closed",
+    ]
     alone = jax.jit(lane)
     for k in (0, 2, 4):
         single = alone(sizes[k], starts[k])
@@ -219,7 +233,9 @@ def test_the_scale_is_only_a_choice_of_units():
     def ellipse(u, args):
         return jnp.array([u[0] ** 2 + (u[1] / 0.01) ** 2 - 1.0])
 
-    small = run(ellipse, np.array([1.0, 0.0]), np.array([0.0, 1.0]), **box([-2, -2], [2, 2]), scale=np.array([1.0, 0.01]))
+    small = run(
+        ellipse, np.array([1.0, 0.0]), np.array([0.0, 1.0]), **box([-2, -2], [2, 2]), scale=np.array([1.0, 0.01])
+    )
     unit = run(circle, np.array([1.0, 0.0]), np.array([0.0, 1.0]), **box([-2, -200], [2, 200]))
     np.testing.assert_allclose(points(small)[0] / [1.0, 0.01], points(unit)[0], atol=1e-9)
 
@@ -292,15 +308,28 @@ def pressure_curve(steps, seed, heading):
         return jnp.stack([u[0] - 1.3, 10.8 - u[0], u[1] - 0.05, 9.0 - u[1]])
 
     return trace(
-        residual, seed, heading, scale=jnp.asarray(SCALE), margins=margins, codes=(Code.window_stretch,) * 4, steps=steps
+        residual,
+        seed,
+        heading,
+        scale=jnp.asarray(SCALE),
+        margins=margins,
+        codes=(Code.window_stretch,) * 4,
+        steps=steps,
     )
 
 
+def reachable(setting):
+    try:
+        Steps(**setting)
+    except ValueError:
+        return False
+    return True
+
+
 def test_four_folds_at_every_step_setting():
-    """The folds the diagram finds are there whatever the user does to the steps (or the trace says that it failed)."""
-    asked = settings()
-    for setting in asked:
-        Steps(**setting)  # reachable: not refused
+    """Whatever setting `Steps` does not refuse, the trace reaches the far end and passes all four folds."""
+    asked = [setting for setting in settings() if reachable(setting)]
+    assert len(asked) >= 20
     names = [f.name for f in dataclasses.fields(Steps) if f.name != "most_points"]
     table = np.array([[setting.get(n, getattr(Steps(), n)) for n in names] for setting in asked])
     state = dj.equilibrium(dj.Membrane(), voltage=0.15, volume=1.5)
@@ -309,27 +338,25 @@ def test_four_folds_at_every_step_setting():
     @jax.jit
     @jax.vmap
     def lanes(row):
-        # a user's largest bound on the points, so that small steps are not cut short
+        # a large bound on the points, so that small steps are not cut short
         steps = TracedSteps(**dict(zip(names, row, strict=True)), most_points=1500)
         return pressure_curve(steps, seed, jnp.array([1.0, 0.1, 0.0]))
 
     found = jax.device_get(lanes(table))
-    counts, lost = [], []
+    lost = []
     for k, setting in enumerate(asked):
-        code = Code(int(found.code[k]))
-        n = int(found.count[k])
-        x, t = found.points[k][:n] / SCALE, found.tangents[k][:n]
-        folds = turning_points(x, t, 1)
-        if code in (Code.step_too_small, Code.too_many_points):
-            continue  # it says so itself
-        counts.append(folds)
-        if folds != FOLDS or x[-1, 0] < 10.8:
-            lost.append((setting, folds, code.name, n))
-    assert len(counts) >= len(asked) - 6
+        x, t = (np.asarray(v)[k][: found.count[k]] for v in (found.points, found.tangents))
+        folds = turning_points(x / SCALE, t, 1)
+        if folds != FOLDS or not x[-1, 0] > 10.8:
+            lost.append((setting, folds, Code(int(found.code[k])).name, int(found.count[k])))
     assert lost == []
 
 
-@pytest.mark.parametrize("options", [{"points": 8}, {"points": 20}, {"points": 64}, {"points": 700}, {"tolerance": 1e-5}, {"tolerance": 1e-10}], ids=str)
+@pytest.mark.parametrize(
+    "options",
+    [{"points": 8}, {"points": 20}, {"points": 64}, {"points": 700}, {"tolerance": 1e-5}, {"tolerance": 1e-10}],
+    ids=str,
+)
 def test_four_folds_in_the_diagram_at_every_setting(membrane, options):
     """`points` and `tolerance` are the step settings of a diagram."""
     diagram = dj.pressure_volume(membrane, 0.15, **options)

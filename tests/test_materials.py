@@ -53,7 +53,7 @@ def inside(limit):
     """Pairs of stretches from compression to 90 % of the limiting invariant."""
     top = math.sqrt((0.9 * limit + 3) / 2)
     return st.tuples(st.floats(0.7, top), st.floats(0.7, top)).filter(
-        lambda l: first_invariant_minus_3(*l) < 0.9 * limit
+        lambda lam: first_invariant_minus_3(*lam) < 0.9 * limit
     )
 
 
@@ -98,9 +98,9 @@ def test_an_energy_is_symmetric_and_free_of_stress_at_rest(data, material):
 
 @pytest.mark.parametrize("limit", [50.0, 270.0, 1000.0])
 def test_gent_equal_biaxial(limit):
-    l = np.linspace(0.8, 0.99 * math.sqrt(limit / 2), 40)
-    s1, s2, *_ = four(dj.Gent(stretch_limit=limit), l, l, 0.0)
-    exact = (l - l**-5) / (1 - (2 * l**2 + l**-4 - 3) / limit)
+    lam = np.linspace(0.8, 0.99 * math.sqrt(limit / 2), 40)
+    s1, s2, *_ = four(dj.Gent(stretch_limit=limit), lam, lam, 0.0)
+    exact = (lam - lam**-5) / (1 - (2 * lam**2 + lam**-4 - 3) / limit)
     np.testing.assert_allclose(s1, exact, rtol=3e-13, atol=1e-15)
     np.testing.assert_allclose(s2, exact, rtol=3e-13, atol=1e-15)
 
@@ -151,7 +151,7 @@ def test_pull_in_of_a_free_film():
     q = float(largest_load(dj.NeoHookean(), stretch))
     assert q == pytest.approx(4 ** (-1 / 3) - 4 ** (-4 / 3), rel=1e-14)
     assert math.sqrt(q) == pytest.approx(0.687365, abs=5e-7)
-    slope = jax.jit(jax.grad(lambda l: largest_load(dj.NeoHookean(), l)))
+    slope = jax.jit(jax.grad(lambda lam: largest_load(dj.NeoHookean(), lam)))
     assert float(slope(stretch)) == pytest.approx(0.0, abs=1e-14)
     assert float(slope(stretch - 0.01)) > 1e-3 and float(slope(stretch + 0.01)) < -1e-3
     assert float(four(dj.NeoHookean(), stretch, stretch, q)[0]) == pytest.approx(0.0, abs=1e-15)
@@ -160,8 +160,8 @@ def test_pull_in_of_a_free_film():
 def test_balloon_maximum():
     """A thin sphere of radius R0 carries p R0/(μH) = 2 s1/λ² = 2 (1/λ − 1/λ⁷ − q λ)."""
 
-    def pressure(l, q):
-        return 2 * dj.stresses(dj.NeoHookean(), l, l, q)[0] / l**2
+    def pressure(lam, q):
+        return 2 * dj.stresses(dj.NeoHookean(), lam, lam, q)[0] / lam**2
 
     stretch = 7 ** (1 / 6)
     pressure_and_slope = jax.jit(jax.value_and_grad(pressure))
@@ -252,7 +252,7 @@ def test_beyond_the_limit_everything_is_finite_and_flagged(material):
     assert admissible.tolist() == [True, True, False, False, False]
     assert bool(jnp.isfinite(jnp.stack(numbers)).all())
     assert bool((jnp.diff(numbers[0]) > 0).all())
-    by_limit = jax.jit(jax.grad(lambda m, l: dj.stresses(m, l, l, 0.0)[0]))(material, 1.5 * edge)
+    by_limit = jax.jit(jax.grad(lambda m, lam: dj.stresses(m, lam, lam, 0.0)[0]))(material, 1.5 * edge)
     assert all(bool(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(by_limit))
 
 
@@ -286,7 +286,7 @@ def test_a_breakdown_law_owns_its_unit_and_scale():
 
 
 def test_a_user_s_breakdown_law():
-    law = dj.CustomBreakdown(lambda l: 1 + l**2, scale=2.0)
+    law = dj.CustomBreakdown(lambda lam: 1 + lam**2, scale=2.0)
     np.testing.assert_allclose(law.field(jnp.array([1.0, 3.0])), [4.0, 20.0], rtol=1e-15)
     state = dj.equilibrium(dj.Membrane(prestretch=2.0, breakdown=law), voltage=0.1, volume=0.0)
     assert state.breakdown_ratio == pytest.approx(0.1 * 4 / 10.0, rel=1e-14)
@@ -306,7 +306,7 @@ def test_a_user_s_breakdown_law():
         (lambda: dj.VHBBreakdown(shear_modulus=0.0), "shear_modulus"),
         (lambda: dj.ConstantBreakdown(0.0), "breakdown"),
         (lambda: dj.ConstantBreakdown(1.0, scale=-1.0), "breakdown_field_scale"),
-        (lambda: dj.CustomBreakdown(lambda l: l, scale=float("nan")), "breakdown_field_scale"),
+        (lambda: dj.CustomBreakdown(lambda lam: lam, scale=float("nan")), "breakdown_field_scale"),
     ],
 )
 def test_bad_constants_are_refused_by_name(build, name):

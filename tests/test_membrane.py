@@ -89,21 +89,21 @@ def test_maxwell_at_prescribed_pressure(membrane):
 def test_a_stretched_film_under_little_pressure_is_a_drum(prestretch, phi):
     """Height p λ0²/(4 σh) and V = π p λ0⁴/(8 σh) as p → 0, with σh = s1(λ0, λ0)/λ0 by hand; the next term is p²."""
     membrane = dj.Membrane(prestretch=prestretch)
-    l = prestretch
-    tension = ((l - l**-5) / (1 - (2 * l**2 + l**-4 - 3) / 270) - phi**2 * l**3) / l
+    stretch = prestretch
+    tension = ((stretch - stretch**-5) / (1 - (2 * stretch**2 + stretch**-4 - 3) / 270) - phi**2 * stretch**3) / stretch
     heights, volumes, charges = [], [], []
     for p in (0.01, 0.005):
         state = dj.equilibrium(membrane, voltage=phi, pressure=p)
-        heights.append(state.height / (p * l**2 / (4 * tension)))
-        volumes.append(state.volume / (math.pi * p * l**4 / (8 * tension)))
+        heights.append(state.height / (p * stretch**2 / (4 * tension)))
+        volumes.append(state.volume / (math.pi * p * stretch**4 / (8 * tension)))
         charges.append(state.charge)
     for coarse, fine in (heights, volumes):
         assert abs(coarse - 1) < 1e-4
         assert (4 * fine - coarse) / 3 == pytest.approx(1.0, abs=5e-9)
     flat = dj.equilibrium(membrane, voltage=phi, pressure=0.0)
-    assert flat.charge == pytest.approx(math.pi * phi * l**4, rel=1e-14)
+    assert flat.charge == pytest.approx(math.pi * phi * stretch**4, rel=1e-14)
     assert (4 * charges[1] - charges[0]) / 3 == pytest.approx(flat.charge, rel=5e-9, abs=1e-15)
-    assert (flat.volume, flat.height, flat.apex_stretch, flat.index) == (0.0, 0.0, l, 0)
+    assert (flat.volume, flat.height, flat.apex_stretch, flat.index) == (0.0, 0.0, stretch, 0)
 
 
 def test_an_unstretched_film_under_little_pressure_is_hencky_s(membrane):
@@ -123,10 +123,10 @@ def test_an_unstretched_film_under_little_pressure_is_hencky_s(membrane):
 @pytest.mark.parametrize("prestretch", [1.5, 3.0])
 @pytest.mark.parametrize("pressure", [1e-3, 1e-4, 1e-6])
 def test_tiny_pressures_have_states_too(prestretch, pressure):
-    l = prestretch
-    tension = (1 - l**-6) / (1 - (2 * l**2 + l**-4 - 3) / 270)
-    state = dj.equilibrium(dj.Membrane(prestretch=l), pressure=pressure)
-    assert state.volume == pytest.approx(math.pi * pressure * l**4 / (8 * tension), rel=1e-6)
+    stretch = prestretch
+    tension = (1 - stretch**-6) / (1 - (2 * stretch**2 + stretch**-4 - 3) / 270)
+    state = dj.equilibrium(dj.Membrane(prestretch=stretch), pressure=pressure)
+    assert state.volume == pytest.approx(math.pi * pressure * stretch**4 / (8 * tension), rel=1e-6)
     assert state.pressure == pytest.approx(pressure, rel=1e-9)
 
 
