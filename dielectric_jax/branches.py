@@ -12,16 +12,18 @@ import dataclasses
 import jax
 import numpy as np
 
-from .chart import Scan, scan
+from .chart import Scan, map_nodes, scan
 from .equilibria import SCALE, Points, polish
 from .loading import Contour
 from .materials import largest_load
 from .membrane import Membrane
 from .results import Code
+from .shooting import MOST_STEPS
 from .tracing import run_traces
 
 __all__ = ["Curve", "find_curves"]
 
+_NEAR, _SAME = 0.2, 0.03  # on the chart, in tenths of its extent: on one branch as the scan sees it; the same point
 _MOST_TURN = 0.3
 _CONE_WEIGHT = 2.0
 _MOST_APPROACH = 0.15  # change of log(1 − t) between neighbours; folds near the cone are about 1.2 apart
@@ -58,9 +60,15 @@ def scaled(u: np.ndarray) -> np.ndarray:
     return u / SCALE
 
 
+def _on_chart(membrane: Membrane, u: np.ndarray) -> np.ndarray:
+    """Points (n, 3) as (λa, t) in tenths of the chart's extent, in which branches are told apart."""
+    span = membrane.lock_up_stretch()[0] - float(membrane.prestretch)
+    fraction = u[:, 2] / largest_on(membrane.material, u[:, 0])
+    return 10 * np.stack([(u[:, 0] - float(membrane.prestretch)) / span, fraction], axis=1)
+
+
 def _distance_to_polyline(points: np.ndarray, line: np.ndarray) -> np.ndarray:
-    """Distance in scaled unknowns from each of (n, 3) points to a polyline (m, 3)."""
-    points, line = scaled(points), scaled(line)
+    """Distance from each of the points (n, d) to a polyline (m, d)."""
     a, d = line[:-1], np.diff(line, axis=0)
     length2 = np.maximum((d * d).sum(axis=1), 1e-300)
     best = np.full(len(points), np.inf)
@@ -210,15 +218,15 @@ def find_curves(membrane: Membrane, contour: Contour, limits, *, count: int, tol
     chart = cached_scan(membrane, stretches, loads)
     contours = chart.contours(contour)
     box = np.array([*stretches, *loads])
-    box[0] = max(box[0], float(membrane.prestretch) + 1e-5 * (box[1] - box[0]))
+    box[0] = max(box[0], float(membrane.prestretch) + 1e-7 * (box[1] - box[0]))
     limits = np.array([*box, 0.72 * membrane.lock_up_stretch()[0]])
 
     def inside(u):
         fraction = u[2] / float(largest_load(membrane.material, u[0]))
         return min(u[0] - box[0], box[1] - u[0], fraction - box[2], box[3] - fraction)
 
-    lines = []
-    pending = [c for c in contours if _long_enough(c)]
+    lines, shadows = [], []
+    pending = [c for c in contours if _long_enough(membrane, c)]
     for _ in range(3):
         seeds, headings = [], []
         for vertices in pending:
@@ -233,12 +241,18 @@ def find_curves(membrane: Membrane, contour: Contour, limits, *, count: int, tol
             if joined is None:
                 continue
             line, tangents, codes = joined
-            middle = line[len(line) // 2] * 1.0
-            if any(_distance_to_polyline(middle[None], other[0])[0] < 0.02 for other in lines):
+            shadow = _on_chart(membrane, _dense(line, tangents))
+            middle = len(shadow) // 2
+            if any(_distance_to_polyline(shadow[middle : middle + 1], other)[0] < _SAME for other in shadows):
                 continue
             lines.append((line, tangents, codes))
-        covered = [_uncovered(c, [entry[0] for entry in lines]) for c in pending]
-        pending = [c for c in covered if c is not None]
+            shadows.append(shadow)
+        left = [_uncovered(membrane, c, shadows, chart.load_fraction[-1]) for c in pending]
+        pending = []
+        for vertices in (_confirmed(membrane, contour, c) for c in left if c is not None):
+            again = _uncovered(membrane, vertices, shadows, chart.load_fraction[-1]) if len(vertices) > 2 else None
+            if again is not None:
+                pending.append(again)
         if not pending:
             break
     complete = not pending
@@ -252,8 +266,9 @@ def find_curves(membrane: Membrane, contour: Contour, limits, *, count: int, tol
         if curve is None:
             complete = False
             continue
-        complete &= _agrees(curve, contours, chart)
+        complete &= _agrees(membrane, curve, contours, chart)
         curves.append(curve)
+    curves = _distinct(membrane, curves)
     curves.sort(key=lambda c: c.points.volume.min())
     return curves, bool(complete)
 
@@ -264,8 +279,16 @@ def _name_end(code: Code, locks: bool) -> Code:
     return Code.apex_cone if code in (Code.step_too_small, Code.not_converged) else code
 
 
-def _long_enough(vertices) -> bool:
-    return len(vertices) > 2 and np.linalg.norm(np.diff(scaled(vertices), axis=0), axis=1).sum() > 1e-3
+def _long_enough(membrane, vertices) -> bool:
+    shadow = _on_chart(membrane, vertices)
+    return len(vertices) > 2 and np.linalg.norm(np.diff(shadow, axis=0), axis=1).sum() > 0.02
+
+
+def _dense(line, tangents) -> np.ndarray:
+    """A traced line (n, 3) with five points of its Hermite curve on every interval."""
+    x, gap = scaled(line), np.linalg.norm(np.diff(scaled(line), axis=0), axis=1)[:, None]
+    parts = [hermite(x[:-1], x[1:], tangents[:-1], tangents[1:], gap, s) for s in np.linspace(0, 1, 6)[:-1]]
+    return np.concatenate([np.stack(parts, axis=1).reshape(-1, 3), x[-1:]]) * SCALE
 
 
 def _seed(vertices):
@@ -287,29 +310,73 @@ def _join(ahead, behind):
     return line, tangents, (behind[2], ahead[2])
 
 
-def _uncovered(vertices, lines, limit=0.08):
-    """The longest run of vertices that no line comes near, or None."""
+def _uncovered(membrane, vertices, shadows, top):
+    """The longest run of a contour's vertices that no traced line comes near, or None."""
+    here = _on_chart(membrane, vertices)
     away = np.full(len(vertices), np.inf)
-    for line in lines:
-        away = np.minimum(away, _distance_to_polyline(vertices, line))
-    far = away > limit
+    for shadow in shadows:
+        away = np.minimum(away, _distance_to_polyline(here, shadow))
+    # the last of the scanned loads is left out: a contour there may be an error of interpolation
+    far = (away > _NEAR) & (here[:, 1] < 10 * (top - 0.02))
     if not far.any():
         return None
     edges = np.flatnonzero(np.diff(np.concatenate([[0], far.view(np.int8), [0]])))
     begin, end = max(zip(edges[::2], edges[1::2], strict=True), key=lambda e: e[1] - e[0])
     part = vertices[begin:end]
-    return part if _long_enough(part) else None
+    return part if _long_enough(membrane, part) else None
 
 
-def _agrees(curve: Curve, contours, chart: Scan) -> bool:
+def _distinct(membrane, curves: list[Curve]) -> list[Curve]:
+    """The curves without those that run along a longer one: two seeds may have met the same branch."""
+    shadows = [_on_chart(membrane, _dense(c.points.u.T, c.points.tangent)) for c in curves]
+    lengths = [np.linalg.norm(np.diff(shadow, axis=0), axis=1).sum() for shadow in shadows]
+    kept: list[int] = []
+    for i in np.argsort(lengths)[::-1]:
+        sample = _on_chart(membrane, curves[i].points.u.T)[5:-5:10]
+        if not any((_distance_to_polyline(sample, shadows[j]) < 0.005).mean() > 0.5 for j in kept):
+            kept.append(int(i))
+    return [curves[i] for i in kept]
+
+
+def _confirmed(membrane, contour: Contour, vertices: np.ndarray) -> np.ndarray:
+    """Those vertices of a contour that lie near a state of the explicit map itself, moved onto it along the load.
+
+    Near lock-up at a high load the chart has a cliff that the scan's interpolation may miss by much.
+    """
+    vertices = vertices[:: max(1, len(vertices) // 40)]
+    apex, limit = vertices[:, 0], largest_on(membrane.material, vertices[:, 0])
+    rim = float(membrane.prestretch)
+
+    def value(load):
+        pressure, volume, _ = map_nodes(membrane.material, apex, load, rim, float(MOST_STEPS))
+        return pressure, contour.residual(pressure, volume, load * limit)
+
+    first = vertices[:, 2] / limit
+    old, new = first - 1e-4, first
+    f_old = value(old)[1]
+    pressure = vertices[:, 1]
+    for _ in range(8):
+        pressure, f_new = value(new)
+        with np.errstate(all="ignore"):
+            move = -f_new * (new - old) / (f_new - f_old)
+        move = np.clip(np.nan_to_num(move), -0.01, 0.01)
+        old, f_old, new = new, f_new, np.minimum(new + move, 0.98)
+        if np.abs(move).max() < 1e-9:
+            break
+    good = np.isfinite(pressure) & (np.abs(new - old) < 1e-6) & (np.abs(new - first) < 0.05)
+    return np.stack([apex, pressure, new * limit], axis=1)[good]
+
+
+def _agrees(membrane, curve: Curve, contours, chart: Scan) -> bool:
     """Whether every point of the curve inside the scanned window lies on a contour of the scan."""
     u = curve.points.u.T
-    load = u[:, 2] / np.interp(u[:, 0], chart.apex_stretch, chart.largest_load)
+    here = _on_chart(membrane, u)
+    load = here[:, 1] / 10
     inside = (load < chart.load_fraction[-1] - 0.02) & (load > chart.load_fraction[0] + 0.02)
     inside &= (u[:, 0] > chart.apex_stretch[2]) & (u[:, 0] < chart.apex_stretch[-3])
     if not inside.any():
         return True
     away = np.full(int(inside.sum()), np.inf)
     for vertices in contours:
-        away = np.minimum(away, _distance_to_polyline(u[inside], vertices))
-    return bool((away < 0.15).all())
+        away = np.minimum(away, _distance_to_polyline(here[inside], _on_chart(membrane, vertices)))
+    return bool((away < _NEAR).all())

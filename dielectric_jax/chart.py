@@ -21,7 +21,7 @@ from .materials import AbstractMaterial, largest_load, stresses
 from .membrane import Membrane, apex_series, slopes
 from .results import Code
 from .scene import SCANNED_LOAD
-from .shooting import graded_map, integrate
+from .shooting import MOST_STEPS, graded_map, integrate
 
 __all__ = ["Scan", "explicit_map", "scan"]
 
@@ -174,6 +174,11 @@ def stretch_shares(first: float, count: int) -> np.ndarray:
     return share
 
 
+def _valid(pressure, volume, slope) -> np.ndarray:
+    finite = np.isfinite(pressure) & np.isfinite(volume) & (slope < 0)
+    return finite & (np.nan_to_num(pressure) > 0) & (np.nan_to_num(volume) > 0)
+
+
 def scan(membrane: Membrane, stretches, loads, refinement: int = _REFINEMENT) -> Scan:
     """Samples the chart over stretches × loads (pairs of limits) and interpolates it on a fine grid.
 
@@ -204,19 +209,30 @@ def scan(membrane: Membrane, stretches, loads, refinement: int = _REFINEMENT) ->
         (pressure, volume, slope), map_nodes(membrane.material, apex[stiff], t[stiff], prestretch, 128.0), strict=True
     ):
         values[stiff] = better
-    shape = (len(share), len(x))
-    pressure, volume, slope, t = (v.reshape(shape) for v in (pressure, volume, slope, t))
-    valid = (slope < 0) & (pressure > 0) & (volume > 0) & np.isfinite(pressure) & np.isfinite(volume)
+    wrong = ~_valid(pressure, volume, slope)
+    if wrong.any():
+        better = map_nodes(membrane.material, apex[wrong], t[wrong], prestretch, float(MOST_STEPS))
+        for values, node in zip((pressure, volume, slope), better, strict=True):
+            values[wrong] = node
+    valid = _valid(pressure, volume, slope).reshape(len(share), len(x))
     with np.errstate(invalid="ignore", divide="ignore"):
-        fields = np.stack([np.log(pressure / (1 - t)), np.log(volume)])
-    bad = ~valid
-    fields[:, bad] = np.nan
-    rows = ~bad.any(axis=1)
+        fields = np.stack([np.log(pressure / (1 - t)), np.log(volume)]).reshape(2, *valid.shape)
     fine = np.full((2, len(fine_s), len(fine_t)), np.nan)
-    if rows.sum() >= 6:
-        smooth = make_interp_spline(s[rows], fields[:, rows], k=5, axis=1)(fine_s)
-        gaps = np.interp(fine_s, s, bad.any(axis=1).astype(float)) > 0
-        fine = np.where(gaps[None, :, None], np.nan, smooth @ matrix.T)
+    if valid.all():
+        smooth = make_interp_spline(s, fields, k=5, axis=1)(fine_s)
+        fine = smooth @ matrix.T
+    elif valid.sum(axis=0).min() >= 6:
+        # a node that no step count resolves is left to its column's neighbours, and the cells about it to nobody
+        columns = [
+            make_interp_spline(s[ok], column[:, ok], k=5, axis=1)(fine_s)
+            for ok, column in zip(valid.T, np.moveaxis(fields, 2, 0), strict=True)
+        ]
+        fine = np.stack(columns, axis=2) @ matrix.T
+        for row, column in np.argwhere(~valid):
+            near = np.abs(fine_s - s[row]) < s[1] - s[0]
+            beside = x[max(column - 1, 0)], x[min(column + 1, len(x) - 1)]
+            inside = (fine_t >= min(beside)) & (fine_t <= max(beside))
+            fine[np.ix_([0, 1], np.flatnonzero(near), np.flatnonzero(inside))] = np.nan
     apex = stretch_of(fine_share)
     return Scan(
         apex,

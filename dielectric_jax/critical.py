@@ -15,7 +15,7 @@ from .equilibria import SCALE, Points, polish
 __all__ = ["Located", "fold_events", "locate", "special_points"]
 
 
-_QUICK_ROUNDS, _ROUNDS = 2, 10
+_QUICK_ROUNDS, _ROUNDS = 2, 16
 _PROFILE_STEPS = 192.0
 _CLOSE, _EXACT = 1e-7, 1e-10  # changes of the share of an interval at which a root is close, and done
 

@@ -25,7 +25,8 @@ HARD = (48.0, 96.0, 192.0, 320.0)  # where an inner layer forms: a high load nea
 ADAPTIVE = (10.0, 12.0)  # exponents of the tolerance of the careful path
 SAFETY = 16.0
 LEAST_ESTIMATE = 1e-13
-_ROUNDING = 2e-14  # relative to λa, p and V; measured
+_ROUNDING = 2e-14  # relative to λa − λ0, p and V; measured
+_FEW_ULPS = 1e-15  # relative to λa
 
 
 @dataclasses.dataclass
@@ -257,7 +258,8 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, ladder, refin
 
     def estimate_errors(active):
         by_volume = np.abs(contour.slopes(result[0][active])[1] * result[0][active])
-        rounding = _ROUNDING * np.stack([np.abs(u[0, active]), np.abs(u[1, active]) + by_volume], axis=1)
+        off_rim = np.abs(u[0, active] - rim) + _FEW_ULPS / _ROUNDING * np.abs(u[0, active])
+        rounding = _ROUNDING * np.stack([off_rim, np.abs(u[1, active]) + by_volume], axis=1)
         both = discretisation[active] / SAFETY + rounding
         fixed_apex = matrix[active].copy()
         fixed_apex[:, 2] = [1.0, 0.0, 0.0]

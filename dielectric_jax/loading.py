@@ -40,7 +40,7 @@ class Contour(eqx.Module):
     def gas_pressure(self, volume):
         """p_gas(V), written so that nothing cancels for a huge chamber; elementwise."""
         xp = _namespace(volume, *jax.tree.leaves(self))
-        volume = xp.maximum(volume, -0.5 * self.chamber_volume)  # a trial far off stays finite
+        volume = xp.clip(volume, -0.5 * self.chamber_volume, 1e12)  # a trial far off stays finite
         growth = xp.log1p((self.initial_volume - volume) / (volume + self.chamber_volume))
         return self.initial_pressure + (self.initial_pressure + self.atmospheric_pressure) * xp.expm1(
             self.exponent * growth

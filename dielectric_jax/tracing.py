@@ -18,8 +18,12 @@ from .shooting import rim_with_columns
 __all__ = ["run_traces", "warm_up"]
 
 _LANES = 8
-_STEPS = Steps(first=0.05, largest=1.0, smallest=5e-4, most_turn=0.35, most_correction=0.2, tolerance=1e-4)
-_TRACE_STEPS = (16.0, 44.0)  # grids of the continuation: the usual one, and where an inner layer forms
+_STEPS = Steps(first=0.05, largest=1.0, smallest=2e-5, most_turn=0.35, most_correction=0.2, tolerance=1e-4)
+_TRACE_STEPS = (
+    16.0,
+    44.0,
+    128.0,
+)  # grids of the continuation: the usual one, where an inner layer forms, the last resort
 _TOP_NEAR_LOCK_UP = 0.94
 
 
@@ -77,7 +81,7 @@ def _trace_program(material, prestretch, contour, limits, seeds, directions, act
     return jax.vmap(lane)(seeds, directions, active)
 
 
-def run_traces(membrane, contour, limits, seeds, directions, accuracy=_TRACE_STEPS[0]):
+def run_traces(membrane, contour, limits, seeds, directions, level=0):
     """Traces from many seeds, in groups of one compiled shape: a list of (points, tangents, code).
 
     A lane that leaves the region its grid resolves goes on from there on the finer grid.
@@ -89,23 +93,23 @@ def run_traces(membrane, contour, limits, seeds, directions, accuracy=_TRACE_STE
         active = np.arange(_LANES) < len(part)
         part, heading = (np.pad(v, ((0, pad), (0, 0)), mode="edge") for v in (part, heading))
         done = _trace_program(
-            membrane.material, membrane.prestretch, contour, limits, part, heading, active, accuracy, _STEPS
+            membrane.material, membrane.prestretch, contour, limits, part, heading, active, _TRACE_STEPS[level], _STEPS
         )
         points, tangents, count, code = (np.asarray(v) for v in done[:4])
         for k in range(int(active.sum())):
             found.append((points[k, : count[k]], tangents[k, : count[k]], Code(int(code[k]))))
-    if accuracy < _TRACE_STEPS[1]:
-        stuck = (Code.beyond_tolerance, Code.step_too_small, Code.apex_cone)
+    if level + 1 < len(_TRACE_STEPS):
+        stuck = (Code.beyond_tolerance, Code.step_too_small)
         more = [k for k, lane in enumerate(found) if lane[2] in stuck and len(lane[0]) > 1]
         alone = [k for k, lane in enumerate(found) if lane[2] in stuck and len(lane[0]) <= 1]
         # go on from the last point inside; a lane that never began starts again at its seed
         starts = [found[k][0][-2] for k in more] + [seeds[k] for k in alone]
         ways = [found[k][1][-2] for k in more] + [directions[k] for k in alone]
         if starts:
-            finer = run_traces(membrane, contour, limits, starts, ways, _TRACE_STEPS[1])
+            finer = run_traces(membrane, contour, limits, starts, ways, level + 1)
             for k, (points, tangents, code) in zip(more + alone, finer, strict=True):
                 if k in more and len(points) < 2:
-                    found[k] = (found[k][0][:-1], found[k][1][:-1], Code.apex_cone)
+                    found[k] = (found[k][0][:-1], found[k][1][:-1], Code.step_too_small)
                     continue
                 head = found[k][0][:-2] if k in more else found[k][0][:0]
                 head_t = found[k][1][:-2] if k in more else found[k][1][:0]
