@@ -209,6 +209,12 @@ def scan(membrane: Membrane, stretches, loads, refinement: int = _REFINEMENT) ->
         (pressure, volume, slope), map_nodes(membrane.material, apex[stiff], t[stiff], prestretch, 128.0), strict=True
     ):
         values[stiff] = better
+    # an inner layer forms there
+    stiff = (t > 0.8) & ((apex - prestretch) > 0.7 * span)
+    if stiff.any():
+        better = map_nodes(membrane.material, apex[stiff], t[stiff], prestretch, float(MOST_STEPS))
+        for values, node in zip((pressure, volume, slope), better, strict=True):
+            values[stiff] = node
     wrong = ~_valid(pressure, volume, slope)
     if wrong.any():
         better = map_nodes(membrane.material, apex[wrong], t[wrong], prestretch, float(MOST_STEPS))
@@ -232,7 +238,7 @@ def scan(membrane: Membrane, stretches, loads, refinement: int = _REFINEMENT) ->
             near = np.abs(fine_s - s[row]) < s[1] - s[0]
             beside = x[max(column - 1, 0)], x[min(column + 1, len(x) - 1)]
             inside = (fine_t >= min(beside)) & (fine_t <= max(beside))
-            fine[np.ix_([0, 1], np.flatnonzero(near), np.flatnonzero(inside))] = np.nan
+            fine[np.ix_(np.arange(2), np.flatnonzero(near), np.flatnonzero(inside))] = np.nan
     apex = stretch_of(fine_share)
     return Scan(
         apex,

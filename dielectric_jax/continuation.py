@@ -4,8 +4,8 @@ Predictor: along the unit tangent (null vector of the exact Jacobian, in scaled 
 residual bordered with the hyperplane through the prediction. The loop is flat, one linearisation a pass, so that
 lanes under `vmap` never wait for another lane's Newton; a lane that has ended changes nothing.
 
-A step is accepted when the remainder of Newton (the square of the last correction) is below the tolerance, Newton
-contracted, and the tangent turned by less than the largest turn; else it is halved. The turn bound is what keeps folds
+A step is accepted when the remainder of Newton (the square of the last correction) is below the tolerance times the
+square of the step, Newton contracted, and the tangent turned by less than the largest turn; else it is halved. The turn bound is what keeps folds
 from being stepped over: two folds on one step turn the tangent out of and back into one direction, so the middle
 differs, and the middle is seen by the mismatch of prediction and correction, bounded by `most_correction`. Where folds
 accumulate towards a point without the tangent turning much, a monitor bounds the step by the distance to that point.
@@ -55,6 +55,14 @@ class Steps:
         ):
             if not getattr(self, name) > 0:
                 raise ValueError(f"`{name}` must be positive, but is {getattr(self, name)!r}.")
+        if not self.largest <= 2:
+            raise ValueError(f"`largest` must be at most 2 in scaled unknowns, but is {self.largest!r}.")
+        if not self.smallest <= self.first <= self.largest:
+            raise ValueError(
+                f"`first` must lie between `smallest` {self.smallest:g} and `largest` {self.largest:g}, but is {self.first!r}."
+            )
+        if not self.tolerance <= 1e-3:
+            raise ValueError(f"`tolerance` must be at most 0.001, but is {self.tolerance!r}.")
         if not self.most_turn <= 1.0:
             raise ValueError(f"`most_turn` must be at most 1 radian, but is {self.most_turn!r}.")
         if not self.most_correction <= 0.5:
@@ -160,7 +168,7 @@ def trace(
         size = jnp.linalg.norm(move)
         tangent = tangent * jnp.where(tangent @ s["tangent"] < 0, -1.0, 1.0)
         corrected = s["trial"] + move
-        settled = size**2 <= steps.tolerance
+        settled = size**2 <= steps.tolerance * jnp.where(first, 1.0, jnp.minimum(s["step"], 1.0) ** 2)
         turn = jnp.arccos(jnp.clip(tangent @ s["tangent"], -1.0, 1.0))
         offset = jnp.linalg.norm(corrected - anchor)
         change = jnp.max(jnp.abs(watch(corrected) - s["watched"]))

@@ -127,8 +127,15 @@ class Diagram:
         return "\n".join(lines) + ")"
 
 
-def _branch(curve: Curve, tolerance: float) -> Branch:
-    states = states_of(curve.points, tolerance)
+_STATIONS = 256  # of a branch, at least: special points are sought between them
+
+
+def _branch(curve: Curve, tolerance: float, points: int) -> Branch:
+    """The record of a branch; fewer points than stations are thinned out of them."""
+    chosen = np.arange(len(curve.points))
+    if points < _STATIONS and len(chosen) > points:
+        chosen = np.unique(np.linspace(0, len(chosen) - 1, points).round().astype(int))
+    states = states_of(curve.points.take(chosen), tolerance)
     columns = {f: np.array([getattr(s, f) for s in states]) for f in State.__dataclass_fields__ if f != "flags"}
     columns["index"] = columns["index"].astype(int)
     return Branch(**columns, start=curve.start, end=curve.end, flags=curve.flags)
@@ -171,7 +178,7 @@ class Solved:
 
 
 def _solve(membrane, contour, limits, kinds, points, tolerance) -> tuple[Solved, bool]:
-    curves, complete = find_curves(membrane, contour, limits, count=points, tolerance=tolerance)
+    curves, complete = find_curves(membrane, contour, limits, count=max(points, _STATIONS), tolerance=tolerance)
     fold = kinds[0]
     curves = [fold_events(fold, membrane, contour, c, tolerance) for c in curves]
     located = special_points(membrane, contour, curves, kinds, tolerance)
@@ -206,7 +213,7 @@ def pressure_volume(
     )
     if not solved.curves:
         raise SceneError(Code.no_equilibrium)
-    branches = [_branch(c, tolerance) for c in solved.curves]
+    branches = [_branch(c, tolerance, points) for c in solved.curves]
     special = [_special(p, tolerance) for p in solved.located]
     return Diagram(
         "pressure-volume",
@@ -236,12 +243,12 @@ def voltage_volume(scene: Scene, *, points: int = 256, tolerance: float = 1e-9) 
     """
     check_request(points, tolerance)
     if not isinstance(scene, Scene):
-        raise ValueError(f"`scene` must be a Scene, but is {scene!r}.")
+        raise ValueError(f"`scene` must be a Scene, but is a {type(scene).__name__}.")
     check_concrete(scene)
     loading = scene.loading
     if isinstance(loading, ConstantVoltage):
         raise ValueError(
-            "`loading` must be a Chamber or a ConstantPressure here; see pressure_volume for a fixed voltage."
+            "`loading` must be a Chamber or a ConstantPressure here, but is a ConstantVoltage; see pressure_volume."
         )
     limits = scene.limits()
     warm_up(scene.membrane)
@@ -253,7 +260,7 @@ def voltage_volume(scene: Scene, *, points: int = 256, tolerance: float = 1e-9) 
     solved, complete = _solve(scene.membrane, contour, limits, kinds, points, tolerance)
     if not solved.curves:
         raise SceneError(Code.no_equilibrium)
-    branches = [_branch(c, tolerance) for c in solved.curves]
+    branches = [_branch(c, tolerance, points) for c in solved.curves]
     special = [_special(p, tolerance) for p in solved.located]
     volume = filling[1] if isinstance(loading, Chamber) else None
     up, down = build_ramp(solved, volume)

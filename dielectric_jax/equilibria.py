@@ -26,7 +26,7 @@ ADAPTIVE = (10.0, 12.0)  # exponents of the tolerance of the careful path
 SAFETY = 16.0
 LEAST_ESTIMATE = 1e-13
 _ROUNDING = 2e-14  # relative to λa − λ0, p and V; measured
-_FEW_ULPS = 1e-15  # relative to λa
+_FEW_ULPS = 2e-16  # relative to λa
 
 
 @dataclasses.dataclass

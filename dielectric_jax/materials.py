@@ -206,8 +206,8 @@ class ArrudaBoyce(AbstractMaterial):
     chain_links: Scalar = eqx.field(default=125.0, converter=as_scalar)
 
     def __check_init__(self):
-        if is_concrete(self.chain_links) and not float(self.chain_links) > 1:
-            raise ValueError(f"`chain_links` must be above 1, but is {float(self.chain_links)!r}.")
+        if is_concrete(self.chain_links) and not 1 < float(self.chain_links) < math.inf:
+            raise ValueError(f"`chain_links` must be above 1 and finite, but is {float(self.chain_links)!r}.")
 
     def _extension(self, l1, l2):
         return jnp.sqrt((first_invariant_minus_3(l1, l2) + 3) / (3 * self.chain_links))
@@ -276,6 +276,12 @@ def largest_load(material: AbstractMaterial, apex_stretch):
     return stresses(material, a, a, 0.0)[0] / a**3
 
 
+def check_scale(scale) -> None:
+    """Refuses a breakdown field that is not multiplied by a positive number."""
+    if is_concrete(scale):
+        check_positive("breakdown_field_scale", float(scale))
+
+
 class AbstractBreakdown(eqx.Module):
     """The true electric field at which the dielectric fails, as a law of the stretch λ = √(λ1 λ2)."""
 
@@ -317,6 +323,7 @@ class ConstantBreakdown(AbstractBreakdown):
     def __check_init__(self):
         if is_concrete(self.constant_field):
             check_positive("breakdown", float(self.constant_field))
+        check_scale(self.scale)
 
     def field(self, stretch):
         return self.scale * self.constant_field * jnp.ones_like(stretch)
@@ -327,6 +334,9 @@ class CustomBreakdown(AbstractBreakdown):
 
     function: Callable = eqx.field(static=True)
     scale: Scalar = eqx.field(default=1.0, converter=as_scalar)
+
+    def __check_init__(self):
+        check_scale(self.scale)
 
     def field(self, stretch):
         return self.scale * self.function(stretch)

@@ -78,9 +78,11 @@ class Scene(eqx.Module):
 
     def __check_init__(self):
         if not isinstance(self.membrane, Membrane):
-            raise ValueError(f"`membrane` must be a Membrane, but is {self.membrane!r}.")
+            raise ValueError(f"`membrane` must be a Membrane, but is a {type(self.membrane).__name__}.")
         if not isinstance(self.loading, AbstractLoading):
-            raise ValueError(f"`loading` must be a loading such as Chamber(...), but is {self.loading!r}.")
+            raise ValueError(
+                f"`loading` must be a loading such as Chamber(...), but is a {type(self.loading).__name__}."
+            )
 
     def replace(self, **parameters) -> "Scene":
         """The scene with other values of the named parameters; setting one side of a filling clears the other."""

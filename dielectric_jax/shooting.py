@@ -6,7 +6,8 @@ geometrically where R ≪ A w, evenly up to R_c, and geometrically again towards
 code: one compiled program serves the coarse, the fine and the careful grid.
 
 **Jacobian.** The variational equations are integrated beside the state on the same grid, their right-hand side by
-autodiff; this is the exact derivative of the discrete map. The column of the pressure needs none: (R, r, z, p) →
+autodiff; this is the exact derivative of the discrete map
+on a grid held fixed. The column of the pressure needs none: (R, r, z, p) →
 (cR, cr, cz, p/c) leaves the equations unchanged, so ∂/∂p is (R/p) d/dR.
 
 All functions take scalars or arrays of one shape (one lane each); the loop over steps is shared by the lanes.

@@ -5,6 +5,7 @@ import typing
 
 import jax
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from .branches import cached_scan
 from .chart import map_nodes, stretch_shares
@@ -233,22 +234,30 @@ def _starts(membrane, q, name, wanted, limits) -> np.ndarray:
     for i in np.flatnonzero((value[:-1] * value[1:] <= 0) & joined):
         s = value[i] / (value[i] - value[i + 1]) if value[i] != value[i + 1] else 0.5
         guesses.append((i, s))
-    # a local extremum between nodes may hide a pair: try both sides of one that comes close
+    # a local extremum between nodes may hide a pair of states: a quintic spline knows its height
+    spline = make_interp_spline(np.arange(len(value)), value, k=5) if len(value) > 5 else None
     for i in np.flatnonzero(np.diff(value)[:-1] * np.diff(value)[1:] < 0) + 1:
-        near = abs(value[i]) < 4 * max(abs(value[i] - value[i - 1]), abs(value[i] - value[i + 1]))
-        if near and value[i - 1] * value[i] > 0 and value[i] * value[i + 1] > 0:
-            a, b, c = value[i - 1], value[i], value[i + 1]
-            curvature = a - 2 * b + c
-            vertex = (a - c) / (2 * curvature)
-            depth = b - curvature * vertex**2 / 2
-            if depth * b <= 0 or abs(depth) < 1e-6 * abs(curvature):
-                half = math.sqrt(max(-2 * depth / curvature, 1e-8))
-                guesses += [(i, vertex - half), (i, vertex + half)]
+        if spline is None or not joined[i - 1 : i + 1].all():
+            continue
+        top = float(i)
+        for _ in range(8):
+            top -= float(np.clip(spline(top, 1) / spline(top, 2), -0.5, 0.5))
+        if not i - 1 <= top <= i + 1:
+            continue
+        depth, curvature = float(spline(top)), float(spline(top, 2))
+        if value[i - 1] * value[i] > 0 and value[i] * value[i + 1] > 0 and depth * curvature < 1e-9 * curvature**2:
+            half = math.sqrt(max(-2 * depth / curvature, 1e-9))
+            guesses += [(int(x), x - int(x)) for x in (top - half, top + half)]
     logs = np.log(pressure)
     out = []
     for i, s in guesses:
-        k = i if s >= 0 else i - 1
-        k = min(max(k, 0), len(apex) - 2)
-        s = s if s >= 0 else 1 + s
+        k = min(max(i, 0), len(apex) - 2)
+        s = s + (i - k)
         out.append([apex[k] + s * (apex[k + 1] - apex[k]), math.exp(logs[k] + s * (logs[k + 1] - logs[k])), q])
+    if value[0] > 0 and rows[0] == 0:
+        # below the first node: p and V are powers of λa − λ0 at the flat end
+        rise = np.log((apex[1] - prestretch) / (apex[0] - prestretch)) / (value[1] - value[0])
+        fall = math.exp(-value[0] * rise)
+        slope = (logs[1] - logs[0]) / np.log((apex[1] - prestretch) / (apex[0] - prestretch))
+        out.append([prestretch + (apex[0] - prestretch) * fall, math.exp(logs[0] + slope * math.log(fall)), q])
     return np.array(out).T if out else np.zeros((3, 0))
