@@ -5,6 +5,7 @@ interpolant of q or p and split first). The root is then found by a secant metho
 the chord, every trial an exact point of the branch with its exact tangent; all roots of a diagram advance together.
 """
 
+import concurrent.futures
 import dataclasses
 
 import numpy as np
@@ -95,7 +96,13 @@ def locate(membrane, contour, curves: list[Curve], wanted: list[tuple], toleranc
     """
     linear = [w for w in wanted if w[0] in ("zero_voltage", "load")]
     found, missed = _locate_loads(membrane, contour, curves, linear, tolerance)
-    return found + _locate_roots(membrane, contour, curves, [w for w in wanted if w not in linear] + missed, tolerance)
+    rest = [w for w in wanted if w not in linear] + missed
+    # folds want exact tangents, an extreme along the membrane a fine profile: apart, and side by side
+    groups = [[w for w in rest if "fold" in w[0]], [w for w in rest if w[0] == "hoop_tension_loss"]]
+    groups.append([w for w in rest if w not in groups[0] and w not in groups[1]])
+    with concurrent.futures.ThreadPoolExecutor(len(groups)) as pool:
+        jobs = [pool.submit(_locate_roots, membrane, contour, curves, g, tolerance) for g in groups if g]
+    return found + [root for job in jobs for root in job.result()]
 
 
 def _hermite_roots(x0, x1, t0, t1, gap, target) -> np.ndarray:

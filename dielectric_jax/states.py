@@ -116,7 +116,7 @@ def _filled_state(membrane: Membrane, quantity: str, wanted: float, tolerance: f
         guess = [[apex[i] + s * (apex[i + 1] - apex[i])], [pressure[i] + s * (pressure[i + 1] - pressure[i])], [0.0]]
         row = [[np.nan] * 3] if quantity == "volume" else [[0.0, 1.0, 0.0]]
         contour = ConstantVoltage(0.0).contour()
-        found = polish(membrane, contour, np.array(guess), np.array(row), np.array([wanted]), tolerance=tolerance / 400)
+        found = polish(membrane, contour, np.array(guess), np.array(row), np.array([wanted]), tolerance=tolerance / 100)
         if found.ok[0] and found.error[0] <= tolerance:
             return states_of(found, tolerance)[0]
     try:  # near the peak of the pressure, or at the window's edge: the fine search

