@@ -26,8 +26,8 @@ from .shooting import MOST_STEPS, graded_map, integrate
 __all__ = ["Scan", "explicit_map", "scan"]
 
 _START = 1e-3
-_NODES = (110, (16, 22))  # of the scan: along the stretch; along the load below and above `_PANEL`
-_PANEL = 0.45
+_NODES = (110, (16, 12, 16))  # of the scan: along the stretch; along the load on the panels between `_PANELS`
+_PANELS = (0.45, 0.75)
 _REFINEMENT = 4
 
 
@@ -198,8 +198,12 @@ def scan(membrane: Membrane, stretches, loads, refinement: int = _REFINEMENT) ->
         return np.minimum(prestretch + span * share, high)
 
     bottom, top = loads[0], min(loads[1], SCANNED_LOAD)
-    panels = [bottom, top] if not bottom < _PANEL < top - 0.1 else [bottom, _PANEL, top]
-    x, fine_t, matrix = _panel_matrix(panels, _NODES[1] if len(panels) == 3 else (sum(_NODES[1]),), refinement)
+    panels, counts = [bottom], []
+    for edge, count in zip((*_PANELS, top), _NODES[1], strict=True):
+        if edge == top or panels[-1] + 0.05 < edge < top - 0.05:
+            panels.append(edge)
+            counts.append(count)
+    x, fine_t, matrix = _panel_matrix(panels, counts, refinement)
 
     apex, t = (v.ravel() for v in np.meshgrid(stretch_of(share), x, indexing="ij"))
     pressure, volume, slope = map_nodes(membrane.material, apex, t, prestretch, 28.0)

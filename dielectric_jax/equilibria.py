@@ -25,7 +25,7 @@ HARD = (48.0, 96.0, 192.0, 320.0)  # where an inner layer forms: a high load nea
 ADAPTIVE = (10.0, 12.0)  # exponents of the tolerance of the careful path
 SAFETY = 16.0
 LEAST_ESTIMATE = 1e-13
-_ROUNDING = 2e-14  # relative to λa − λ0, p and V; measured
+_ROUNDING = 5e-15  # relative to λa − λ0, p and V; measured
 _FEW_ULPS = 2e-16  # relative to λa
 
 
@@ -82,6 +82,11 @@ def _assemble(u, lag, volume, columns, rim, contour):
     of_condition[1] += by_p
     of_condition[2] += by_q
     return residual, np.stack([of_lag.T, of_condition.T], axis=1)
+
+
+def _relative(move: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Largest of |move|/max(|value|, 1e-3) over λa, p, q; move (lanes, 3), u (3, lanes)."""
+    return np.max(np.abs(move) / np.maximum(np.abs(u.T), 1e-3), axis=1)
 
 
 def _solve(matrix, right):
@@ -222,7 +227,7 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, ladder, refin
             volume[active] += np.einsum("il,li->l", columns[:, 1][:, active], move)
             size[active] = length
             drift = np.linalg.norm((u[:, active] - start[:, active]).T / SCALE, axis=1)
-            settled[active] = size[active] < 1e-5
+            settled[active] = (size[active] < 1e-5) & (_relative(move, u[:, active]) < 1e-4)
             active = active[~settled[active] & np.isfinite(length) & (drift < 3 * reach)]
 
     newton(active, coarse, 9)
@@ -238,7 +243,7 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, ladder, refin
         """Deferred correction on one grid: the residual there at first, and the state moved to make it zero."""
         first = np.full((lanes, 2), np.nan)
         working = active
-        for _ in range(4):
+        for _ in range(6):
             program = careful_program if adaptive else value_program
             lag, vol, *rest = run_chunks(lambda part, run=program: run(membrane, part, steps), u[:, working])
             right, _ = system(working, lag, vol, columns[..., working])
@@ -251,7 +256,7 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, ladder, refin
             for store, values in zip([*result, admissible], [vol, *rest], strict=False):
                 store[working] = values
             # the next chord step would be smaller by the error of the Jacobian, 1e-3 or less
-            working = working[np.linalg.norm(move / SCALE, axis=1) > 3e-9]
+            working = working[_relative(move, u[:, working]) > 3e-9]
             if not len(working):
                 break
         return first[active]
