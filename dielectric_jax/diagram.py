@@ -199,8 +199,8 @@ def pressure_volume(
     Raises ValueError for bad input and SceneError where no tensile equilibrium lies in the window.
 
     >>> curve = pressure_volume(Membrane(), voltage=0.0)
-    >>> [round(p.pressure, 9) for p in curve.special_points if p.kind == "fold"]
-    [1.908684829, 1.361703319]
+    >>> sorted(round(p.pressure, 9) for p in curve.special_points if p.kind == "fold")
+    [1.361703319, 1.908684829]
     """
     check_request(points, tolerance)
     scene = Scene(membrane, ConstantVoltage(voltage), window or Window())
@@ -239,7 +239,7 @@ def voltage_volume(scene: Scene, *, points: int = 256, tolerance: float = 1e-9) 
     >>> [event.event for event in diagram.ramp().events]
     ['start', 'snap', 'landing', 'breakdown']
     >>> round(diagram.ramp()["snap"][0].state.voltage, 9), round(diagram.area_strain, 4)
-    (0.07649536, 16.1215)
+    (0.07649536, 16.1219)
     """
     check_request(points, tolerance)
     if not isinstance(scene, Scene):

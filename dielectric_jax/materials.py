@@ -89,7 +89,7 @@ class Gent(AbstractMaterial):
 
     >>> s1, s2, s11, s12 = stresses(Gent(stretch_limit=270.0), 2.0, 2.0, 0.0)
     >>> round(float(s1), 9), bool(abs(s1 - s2) < 1e-12)
-    (2.006302521, True)
+    (2.006369427, True)
     """
 
     stretch_limit: Scalar = eqx.field(default=270.0, converter=as_scalar)
@@ -200,7 +200,7 @@ class ArrudaBoyce(AbstractMaterial):
 
     >>> s1 = stresses(ArrudaBoyce(chain_links=125.0), 2.0, 2.0, 0.0)[0]
     >>> round(float(s1), 6)
-    2.007391
+    1.994673
     """
 
     chain_links: Scalar = eqx.field(default=125.0, converter=as_scalar)
@@ -297,7 +297,7 @@ class VHBBreakdown(AbstractBreakdown):
 
     >>> law = VHBBreakdown()
     >>> round(float(law.field(1.0)), 9), round(float(law.field(7.0)), 9)
-    (0.930537444, 6.62931251)
+    (0.930537452, 6.629319106)
     """
 
     scale: Scalar = eqx.field(default=1.0, converter=as_scalar)

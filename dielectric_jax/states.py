@@ -148,7 +148,7 @@ def equilibrium(
 
     >>> state = equilibrium(Membrane(), voltage=0.0, volume=2.42)
     >>> round(state.pressure, 9), state.index
-    (1.886612680, 0)
+    (1.88661268, 0)
     """
     check_request(8, tolerance)
     given = {

@@ -83,7 +83,7 @@ def sampled(membrane):
 
 
 def test_the_scan_interpolates_the_map(membrane, sampled):
-    """To 1e-3, and to 1e-5 in the median, where the chart is smooth.
+    """To 2e-3, and to 1e-5 in the median, where the chart is smooth.
 
     Towards lock-up at t > 0.7 the chart has a cliff, where p changes by half over a hundredth of t; contours there are
     checked on the map itself before they count (`branches._confirmed`).
@@ -97,7 +97,7 @@ def test_the_scan_interpolates_the_map(membrane, sampled):
     for got, true in ((sampled.pressure[i, j], p), (sampled.volume[i, j], v)):
         error = np.abs(got / np.asarray(true) - 1)
         assert np.median(error) < 1e-5
-        assert error[~cliff].max() < 1e-3
+        assert error[~cliff].max() < 2e-3
         assert error[cliff].max() < 0.5
 
 

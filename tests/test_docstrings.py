@@ -1,0 +1,16 @@
+"""Every example in a docstring runs and shows what it says."""
+
+import doctest
+import importlib
+import pathlib
+
+import pytest
+
+PACKAGE = pathlib.Path(__file__).parent.parent / "dielectric_jax"
+MODULES = sorted(p.stem for p in PACKAGE.glob("*.py") if "\n    >>> " in p.read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_examples_run(name):
+    result = doctest.testmod(importlib.import_module(f"dielectric_jax.{name}"))
+    assert result.attempted > 0 and result.failed == 0
