@@ -225,7 +225,7 @@ def _answer(args: argparse.Namespace) -> None:
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs the program on `argv` (the process's own arguments when None) and returns its exit status.
 
-    >>> main(["equilibrium", "--volume", "-1"])  # doctest: +SKIP
+    >>> main(["equilibrium", "--volume", "-1"])
     2
     """
     try:
