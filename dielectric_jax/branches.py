@@ -214,7 +214,7 @@ def _insert(membrane, contour, points, wide, tolerance) -> Points:
     return joined.take(np.argsort(place, kind="stable"))
 
 
-def find_curves(membrane: Membrane, contour: Contour, limits, *, count: int, tolerance: float, progress=None):
+def find_curves(membrane: Membrane, contour: Contour, limits, *, count: int, tolerance: float):
     """All branches of the contour in the window, and whether scan and continuation agree on the scanned part.
 
     `limits` is `Scene.limits()`.

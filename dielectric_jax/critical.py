@@ -2,7 +2,7 @@
 
 Each event function is bracketed by neighbours (a pair of roots hidden in one interval is looked for in the Hermite
 interpolant of q or p and split first). The root is then found by a secant method that keeps its bracket, on planes across
-the chord, every trial an exact point of the branch with its exact tangent; all roots of a diagram advance together.
+the chord, every trial an exact point of the branch; the roots of one kind advance together.
 """
 
 import concurrent.futures
@@ -46,12 +46,6 @@ def event_values(kind: str, points: Points, target: float = 0.0) -> np.ndarray:
         return points.u[2] * points.field - 1
     if kind == "hoop_tension_loss":
         return points.hoop
-    if kind == "apex_stretch":
-        return points.u[0] - target
-    if kind == "pressure":
-        return points.u[1] - target
-    if kind == "volume":
-        return np.log(points.volume / target)
     raise ValueError(f"`kind` must be the name of an event, but is {kind!r}.")
 
 
@@ -92,7 +86,7 @@ def locate(membrane, contour, curves: list[Curve], wanted: list[tuple], toleranc
     """Roots for `wanted` = (kind, branch, interval, target); those that fail are left out.
 
     A given load is a row of Newton's system and takes one solve; the other events, and a load that this fails for, take
-    the secant method. All lanes advance together.
+    the secant method.
     """
     linear = [w for w in wanted if w[0] in ("zero_voltage", "load")]
     found, missed = _locate_loads(membrane, contour, curves, linear, tolerance)

@@ -149,8 +149,9 @@ def polish(
     """Newton from `u` (3, lanes) onto the contour, with rows·u = targets; `rows` is (lanes, 3).
 
     A row of NaN asks for a volume: V = target. `reach` bounds the total correction in scaled unknowns: farther means not
-    converged. `quick` stops after one residual on the finer grid; `refine` takes tangent and index from a finer grid at the end, `profile_steps` the extremes along the membrane. Lanes that fail have ok = False and never disturb the
-    others.
+    converged. `quick` stops after one residual on the finer grid; `refine` takes tangent and index
+    from a finer grid at the end, `profile_steps` the extremes along the membrane. Lanes that fail have ok = False and
+    never disturb the others.
     """
     await_programs(membrane)
     u, rows, targets = np.array(u, float), np.asarray(rows, float), np.asarray(targets, float)
