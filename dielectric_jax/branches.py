@@ -26,7 +26,7 @@ __all__ = ["Curve", "find_curves"]
 
 _NEAR, _SAME = 0.2, 0.03  # on the chart, in tenths of its extent: on one branch as the scan sees it; the same point
 _MOST_TURN = 0.3
-_CONE_WEIGHT = 2.0
+_CONE_WEIGHT = 0.7
 _MOST_APPROACH = 0.15  # change of log(1 − t) between neighbours; folds near the cone are about 1.2 apart
 
 

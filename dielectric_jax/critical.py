@@ -1,8 +1,9 @@
 """Special points of a branch, located to solver tolerance: roots of event functions between neighbouring points.
 
 Each event function is bracketed by neighbours (a pair of roots hidden in one interval is looked for in the Hermite
-interpolant of q or p and split first). The root is then found by a secant method that keeps its bracket, on planes across
-the chord, every trial an exact point of the branch; the roots of one kind advance together.
+interpolant of q or p and split first). A cubic through four neighbours predicts the root and the slope there; a secant
+method that keeps its bracket goes on from it, on planes across the chord, every trial an exact point of the branch. All
+roots advance together.
 """
 
 import concurrent.futures
@@ -16,9 +17,10 @@ from .equilibria import SCALE, Points, polish
 __all__ = ["Located", "fold_events", "locate", "special_points"]
 
 
-_QUICK_ROUNDS, _ROUNDS = 2, 16
-_PROFILE_STEPS = 192.0
-_CLOSE, _EXACT = 1e-7, 1e-10  # changes of the share of an interval at which a root is close, and done
+_ROUNDS = 16
+# changes of the share of an interval at which the line through the last two trials takes a root the rest of the way, and
+# at which nothing is left to do
+_CLOSE, _EXACT = 1e-6, 1e-10
 
 
 @dataclasses.dataclass
@@ -82,21 +84,20 @@ def brackets(curve: Curve, kind: str, target: float = 0.0) -> np.ndarray:
         return np.flatnonzero(((f[:-1] < 0) != (f[1:] < 0)) & np.isfinite(f[:-1]) & np.isfinite(f[1:]))
 
 
-def locate(membrane, contour, curves: list[Curve], wanted: list[tuple], tolerance: float) -> list[Located]:
-    """Roots for `wanted` = (kind, branch, interval, target); those that fail are left out.
+def locate(membrane, contour, curves: list[Curve], wanted: list[tuple], tolerance: float):
+    """Roots for `wanted` = (kind, branch, interval, target), and those of `wanted` that were not met to tolerance.
 
     A given load is a row of Newton's system and takes one solve; the other events, and a load that this fails for, take
     the secant method.
     """
-    linear = [w for w in wanted if w[0] in ("zero_voltage", "load")]
-    found, missed = _locate_loads(membrane, contour, curves, linear, tolerance)
-    rest = [w for w in wanted if w not in linear] + missed
-    # folds want exact tangents, an extreme along the membrane a fine profile: apart, and side by side
-    groups = [[w for w in rest if "fold" in w[0]], [w for w in rest if w[0] == "hoop_tension_loss"]]
-    groups.append([w for w in rest if w not in groups[0] and w not in groups[1]])
-    with concurrent.futures.ThreadPoolExecutor(len(groups)) as pool:
-        jobs = [pool.submit(_locate_roots, membrane, contour, curves, g, tolerance) for g in groups if g]
-    return found + [root for job in jobs for root in job.result()]
+    loads = [w for w in wanted if w[0] in ("zero_voltage", "load")]
+    rest = [w for w in wanted if w not in loads]
+    with concurrent.futures.ThreadPoolExecutor(1) as pool:
+        job = pool.submit(_locate_loads, membrane, contour, curves, loads, tolerance)
+        roots, missed = _locate_roots(membrane, contour, curves, rest, tolerance)
+        found, again = job.result()
+    more, lost = _locate_roots(membrane, contour, curves, again, tolerance)
+    return found + roots + more, missed + lost
 
 
 def _hermite_roots(x0, x1, t0, t1, gap, target) -> np.ndarray:
@@ -110,13 +111,39 @@ def _hermite_roots(x0, x1, t0, t1, gap, target) -> np.ndarray:
     return (low + high) / 2
 
 
-def _quadratic_root(c0, c1, c2, default) -> np.ndarray:
-    """The root in (0, 1) of c0 + c1 s + c2 s², or the default where there is none."""
-    with np.errstate(all="ignore"):
-        q = -(c1 + np.where(c1 >= 0, 1, -1) * np.sqrt(c1 * c1 - 4 * c0 * c2)) / 2
-        roots = np.stack([q / c2, c0 / q])
-        inside = np.isfinite(roots) & (roots > 0) & (roots < 1)
-    return np.where(inside[0], roots[0], np.where(inside[1], roots[1], default))
+def _predict(curve: Curve, kind: str, interval: int, target: float):
+    """Root and slope, in shares of the interval, of the cubic through the event function at four neighbours.
+
+    An event function may be a least value that changes from one place of the membrane to another on the interval: the root
+    then belongs to the side where the function is negative, and so do the four.
+    """
+    count = len(curve.points)
+    values = event_values(kind, curve.points.take(slice(max(interval - 3, 0), interval + 5)), target)
+    start = max(interval - 3, 0)
+    f0, f1 = values[interval - start], values[interval + 1 - start]
+    chord = -f0 / (f1 - f0), f1 - f0
+    gap = curve.position[interval + 1] - curve.position[interval]
+
+    def cubic(first):
+        if first < 0 or first + 4 > count or not np.isfinite(values[first - start : first - start + 4]).all():
+            return None
+        x = (curve.position[first : first + 4] - curve.position[interval]) / gap
+        matrix = np.vander(x, increasing=True)
+        return np.polynomial.Polynomial(np.linalg.solve(matrix, values[first - start : first - start + 4]))
+
+    def root(poly):
+        low, high = 0.0, 1.0
+        for _ in range(50):
+            middle = (low + high) / 2
+            low, high = (middle, high) if (poly(middle) < 0) == (f0 < 0) else (low, middle)
+        return low, poly.deriv()(low)
+
+    centred, sided = cubic(interval - 1), cubic(interval + 1 if f1 < 0 else interval - 3)
+    if sided is not None:
+        seen = sided(0.0) - f0 if f1 < 0 else sided(1.0) - f1
+        if centred is None or seen > 0.1 * abs(f1 - f0):
+            return root(sided)
+    return chord if centred is None else root(centred)
 
 
 def _locate_loads(membrane, contour, curves, wanted, tolerance):
@@ -143,113 +170,100 @@ def _locate_loads(membrane, contour, curves, wanted, tolerance):
     return found, [w for n, w in enumerate(wanted) if not ok[n]]
 
 
-def _locate_roots(membrane, contour, curves, wanted, tolerance) -> list[Located]:
-    """Roots of event functions by a secant method that keeps its brackets."""
+def _locate_roots(membrane, contour, curves, wanted, tolerance):
+    """Roots of event functions by a secant method that keeps its brackets; and the wanted ones it failed for."""
     if not wanted:
-        return []
-    chord_points = Points.join([curves[b].points.take(np.array([i, i + 1])) for _, b, i, _ in wanted])
+        return [], []
+    ends = Points.join([curves[b].points.take(np.array([i, i + 1])) for _, b, i, _ in wanted])
     lanes = np.arange(len(wanted))
-    ends = 2 * lanes
+    first = 2 * lanes
+    gap = np.array([curves[b].position[i + 1] - curves[b].position[i] for _, b, i, _ in wanted])
 
-    def values(points):
-        return np.array([event_values(k, points.take(np.array([n])), x)[0] for n, (k, _, _, x) in enumerate(wanted)])
+    def values(points, which):
+        return np.array(
+            [event_values(wanted[n][0], points.take(np.array([k])), wanted[n][3])[0] for k, n in enumerate(which)]
+        )
 
     low, high = np.zeros(len(wanted)), np.ones(len(wanted))
-    f_low, f_high = values(chord_points.take(ends)), values(chord_points.take(ends + 1))
-    share = -f_low / (f_high - f_low)
-    x, t = scaled(chord_points.u.T), chord_points.tangent
-    chords = np.linalg.norm(x[ends + 1] - x[ends], axis=1)
-    for kind, column in (("fold", 2), ("pressure_fold", 1)):
-        # the extremum of the Hermite cubic of q (or p): a quadratic's root
-        which = np.array([w[0] == kind for w in wanted])
-        if which.any():
-            a, b = ends[which], ends[which] + 1
-            rise, d0, d1 = (x[b] - x[a])[:, column] / chords[which], t[a, column], t[b, column]
-            share[which] = _quadratic_root(d0, 6 * rise - 4 * d0 - 2 * d1, 3 * (d0 + d1 - 2 * rise), share[which])
-    last_share = np.full(len(wanted), np.nan)
-    last_f = np.full(len(wanted), np.nan)
+    f_low, f_high = values(ends.take(first), lanes), values(ends.take(first + 1), lanes)
+    share, slope = np.array([_predict(curves[b], kind, i, target) for kind, b, i, target in wanted]).T
+    last, f_last = np.full(len(wanted), np.nan), np.full(len(wanted), np.nan)
     change = np.full(len(wanted), np.inf)
-    slopes = np.full(len(wanted), np.nan)
-    results: list[Points | None] = [None] * len(wanted)
+    trials: list[list[Points]] = [[] for _ in wanted]
     active = lanes
-    for round_ in range(_ROUNDS):
-        quick = round_ < _QUICK_ROUNDS
-        # an extreme inside the membrane is a minimum over nodes: it needs a fine grid of its own
-        hoop = any(wanted[n][0] == "hoop_tension_loss" and change[n] < 1e-2 for n in active)
+    for _ in range(_ROUNDS):
+        at = share[active]
         found = solve_between(
             membrane,
             contour,
-            chord_points,
-            ends[active],
-            share[active],
+            ends,
+            first[active],
+            at,
             tolerance=tolerance / 4,
-            quick=quick,
-            refine=not quick and any("fold" in wanted[n][0] for n in active),
-            profile_steps=_PROFILE_STEPS if hoop else 0.0,
+            refine=np.array(["fold" in wanted[n][0] for n in active]),  # folds want exact tangents
         )
-        f = np.array(
-            [event_values(wanted[n][0], found.take(np.array([k])), wanted[n][3])[0] for k, n in enumerate(active)]
-        )
-        at = share[active]
+        f = values(found, active)
         below = ((f < 0) == (f_low[active] < 0)) & np.isfinite(f)
         above = ~below & np.isfinite(f)
         low[active[below]], f_low[active[below]] = at[below], f[below]
         high[active[above]], f_high[active[above]] = at[above], f[above]
         with np.errstate(all="ignore"):
-            # values of the coarse and the fine grid differ: their secants do not mix
-            fresh = np.isnan(last_f[active]) | (round_ == _QUICK_ROUNDS)
-            chord = (f_high - f_low)[active] / (high - low)[active]
-            secant = (f - last_f[active]) / (at - last_share[active])
-            slope = np.where(
-                np.isfinite(secant) & (secant != 0) & ~fresh,
-                secant,
-                np.where(fresh, slopes[active], chord) if round_ else chord,
-            )
-            new = at - f / slope
-            slopes[active] = slope
-        good = np.isfinite(new) & (new > -0.05) & (new < 1.05)
-        new = np.where(good, new, (low[active] + high[active]) / 2)
+            secant = (f - f_last[active]) / (at - last[active])
+            apart = np.isfinite(secant) & (secant != 0) & (np.abs(at - last[active]) > _CLOSE)
+            slope[active] = np.where(apart, secant, slope[active])
+            new = at - f / slope[active]
+        # a step that leaves the bracket is a bisection
+        fair = np.isfinite(new) & (new >= low[active] - _CLOSE) & (new <= high[active] + _CLOSE)
+        new = np.where(fair, new, (low[active] + high[active]) / 2)
         change[active] = np.abs(new - at)
-        last_share[active], last_f[active] = at, f
         for k, n in enumerate(active):
-            results[n] = found.take(np.array([k]))
-        done = change[active] < (_CLOSE if quick else _EXACT)
-        if not hoop:
-            done &= np.array([wanted[n][0] != "hoop_tension_loss" for n in active])
-        if quick:
-            share[active] = new
-            if round_ == _QUICK_ROUNDS - 1 or done.all():
-                continue
-        else:
-            active, new = active[~done], new[~done]
-            if not len(active):
-                break
-            share[active] = new
-    gap = np.linalg.norm(np.diff(scaled(chord_points.u.T), axis=0), axis=1)[ends]
-    out = []
+            trials[n] = [*trials[n][-1:], found.take(np.array([k]))]
+        done = change[active] < np.where(np.isfinite(last[active]), _CLOSE, _EXACT)
+        for k in np.flatnonzero(done):
+            n = active[k]
+            if len(trials[n]) > 1 and change[n] > _EXACT:
+                before, latest = trials[n]
+                trials[n][-1] = _line(before, latest, (new[k] - last[n]) / (at[k] - last[n]))
+                share[n] = new[k]
+                change[n] *= abs(at[k] - last[n]) + change[n]
+        last[active], f_last[active] = at, f
+        active, new = active[~done], new[~done]
+        if not len(active):
+            break
+        share[active] = new
+    out, missed = [], []
     for n, (kind, branch, i, _) in enumerate(wanted):
-        point = results[n]
-        assert point is not None
+        point = trials[n][-1]
         if not point.ok[0] or not change[n] < 1e-5:
+            missed.append(wanted[n])
             continue
         # what the remaining step along the branch would change in the located quantity
-        along = change[n] * gap[n] * np.abs(point.tangent[0] * [1.0, 0.2, 0.02])
-        if kind in ("fold", "pressure_fold"):
+        along = change[n] * gap[n] * np.abs(point.tangent[0] * SCALE)
+        if "fold" in kind:
             along = along * change[n]
-        column = {"pressure_fold": 1}.get(kind, 2)
+        column = 1 if kind == "pressure_fold" else 2
         rest = along[column] / max(abs(point.u[column, 0]), 1e-3) if kind != "zero_voltage" else 0.0
         position = curves[branch].position[i] + share[n] * gap[n]
         out.append(Located(kind, branch, float(position), point, float(max(point.error[0], rest))))
-    return out
+    return out, missed
 
 
-def special_points(membrane, contour, curves: list[Curve], kinds: tuple[str, ...], tolerance: float) -> list[Located]:
-    """All special points of the named kinds on all branches, in order along each branch."""
+def _line(before: Points, last: Points, along: float) -> Points:
+    """The states of one lane on the line through two of them: `along` is 0 at the one before and 1 at the last."""
+    moved = {}
+    for f in dataclasses.fields(Points):
+        a, b = getattr(before, f.name), getattr(last, f.name)
+        moved[f.name] = a + along * (b - a) if f.name not in ("index", "error", "ok") else b
+    return Points(**moved)
+
+
+def special_points(membrane, contour, curves: list[Curve], kinds: tuple[str, ...], tolerance: float):
+    """All special points of the named kinds on all branches, in order along each branch; and (kind, branch, …) missed."""
     wanted = [
         (kind, branch, int(i), 0.0)
         for branch, curve in enumerate(curves)
         for kind in kinds
         for i in brackets(curve, kind)
     ]
-    found = locate(membrane, contour, curves, wanted, tolerance)
-    return sorted(found, key=lambda p: (p.branch, p.position))
+    found, missed = locate(membrane, contour, curves, wanted, tolerance)
+    return sorted(found, key=lambda p: (p.branch, p.position)), missed

@@ -130,17 +130,6 @@ class Diagram:
 _STATIONS = 256  # of a branch, at least: special points are sought between them
 
 
-def _branch(curve: Curve, tolerance: float, points: int) -> Branch:
-    """The record of a branch; fewer points than stations are thinned out of them."""
-    chosen = np.arange(len(curve.points))
-    if points < _STATIONS and len(chosen) > points:
-        chosen = np.unique(np.linspace(0, len(chosen) - 1, points).round().astype(int))
-    states = states_of(curve.points.take(chosen), tolerance)
-    columns = {f: np.array([getattr(s, f) for s in states]) for f in State.__dataclass_fields__ if f != "flags"}
-    columns["index"] = columns["index"].astype(int)
-    return Branch(**columns, start=curve.start, end=curve.end, flags=curve.flags)
-
-
 def _special(located: Located, tolerance: float) -> SpecialPoint:
     state = states_of(located.point, tolerance)[0]
     kind = "fold" if located.kind == "pressure_fold" else located.kind
@@ -161,6 +150,7 @@ class Solved:
     contour: Contour
     curves: list[Curve]
     located: list[Located]
+    missed: list[tuple]
     tolerance: float
 
     def states_at_load(self, voltage_squared: float) -> list[Located]:
@@ -170,19 +160,39 @@ class Solved:
             for b, curve in enumerate(self.curves)
             for i in brackets(curve, "load", voltage_squared)
         ]
-        return locate(self.membrane, self.contour, self.curves, wanted, self.tolerance)
+        found, missed = locate(self.membrane, self.contour, self.curves, wanted, self.tolerance)
+        self.missed.extend(missed)
+        return found
 
     def state(self, located: Located) -> State:
         """The record of a located state."""
         return _special(located, self.tolerance)
 
 
+def _branches(solved: Solved, points: int) -> list[Branch]:
+    """The records of all branches; one on which a special point is known to lie but was not met says so."""
+    lost = {branch for _, branch, *_ in solved.missed}
+    flags = [("special_point_lost",) if k in lost else () for k in range(len(solved.curves))]
+    return [_branch(c, solved.tolerance, points, more) for c, more in zip(solved.curves, flags, strict=True)]
+
+
+def _branch(curve: Curve, tolerance: float, points: int, more_flags: tuple) -> Branch:
+    """The record of a branch; fewer points than stations are thinned out of them."""
+    chosen = np.arange(len(curve.points))
+    if points < _STATIONS and len(chosen) > points:
+        chosen = np.unique(np.linspace(0, len(chosen) - 1, points).round().astype(int))
+    states = states_of(curve.points.take(chosen), tolerance)
+    columns = {f: np.array([getattr(s, f) for s in states]) for f in State.__dataclass_fields__ if f != "flags"}
+    columns["index"] = columns["index"].astype(int)
+    return Branch(**columns, start=curve.start, end=curve.end, flags=curve.flags + more_flags)
+
+
 def _solve(membrane, contour, limits, kinds, points, tolerance) -> tuple[Solved, bool]:
     curves, complete = find_curves(membrane, contour, limits, count=max(points, _STATIONS), tolerance=tolerance)
     fold = kinds[0]
     curves = [fold_events(fold, membrane, contour, c, tolerance) for c in curves]
-    located = special_points(membrane, contour, curves, kinds, tolerance)
-    return Solved(membrane, contour, curves, located, tolerance), complete
+    located, missed = special_points(membrane, contour, curves, kinds, tolerance)
+    return Solved(membrane, contour, curves, located, missed, tolerance), complete
 
 
 def pressure_volume(
@@ -213,7 +223,7 @@ def pressure_volume(
     )
     if not solved.curves:
         raise SceneError(Code.no_equilibrium)
-    branches = [_branch(c, tolerance, points) for c in solved.curves]
+    branches = _branches(solved, points)
     special = [_special(p, tolerance) for p in solved.located]
     return Diagram(
         "pressure-volume",
@@ -260,10 +270,10 @@ def voltage_volume(scene: Scene, *, points: int = 256, tolerance: float = 1e-9) 
     solved, complete = _solve(scene.membrane, contour, limits, kinds, points, tolerance)
     if not solved.curves:
         raise SceneError(Code.no_equilibrium)
-    branches = [_branch(c, tolerance, points) for c in solved.curves]
     special = [_special(p, tolerance) for p in solved.located]
     volume = filling[1] if isinstance(loading, Chamber) else None
     up, down = build_ramp(solved, volume)
+    branches = _branches(solved, points)
     return Diagram(
         "voltage-volume",
         scene,

@@ -7,6 +7,7 @@ adaptively. Going from n/2 to n steps moves a state by δ; the method is of orde
 and δ/16 is reported, plus what rounding can do.
 """
 
+import concurrent.futures
 import dataclasses
 
 import numpy as np
@@ -20,8 +21,13 @@ from .scene import SCANNED_LOAD
 __all__ = ["Points", "polish"]
 
 SCALE = np.array([1.0, 0.2, 0.02])  # of (λa, p, q)
-EASY = (16.0, 32.0, 64.0)  # steps: of Newton, then of the residual
-HARD = (48.0, 96.0, 192.0, 320.0)  # where an inner layer forms: a high load near lock-up, or near the cone
+# steps: of Newton, then of the residual; where an inner layer forms (a high load near lock-up, or near the cone) Newton
+# needs more, and more again where the layer is thin
+LADDERS = ((16.0, 32.0, 64.0, 128.0), (24.0, 48.0, 96.0, 192.0, 320.0), (80.0, 160.0, 320.0))
+_REFINED = (48.0, 144.0, 240.0)  # steps of a refined tangent
+_CONTRACTION = (2e-4, 3e-3, 1e-3)  # of a chord step: the error of Newton's Jacobian, measured
+_TRIES = (9, 6, 9)  # of Newton
+_MOST_MOVE = 3e-9  # relative: height and charge are not moved along with the state
 ADAPTIVE = (10.0, 12.0)  # exponents of the tolerance of the careful path
 SAFETY = 16.0
 LEAST_ESTIMATE = 1e-13
@@ -46,7 +52,6 @@ class Points:
     tangent: np.ndarray
     index: np.ndarray
     error: np.ndarray
-    error_on_plane: np.ndarray
     ok: np.ndarray
 
     def __len__(self) -> int:
@@ -122,10 +127,14 @@ def _index(zeros, jacobian, columns, volume, contour):
     return np.where(gain < 0, zeros - 1, zeros)
 
 
-def is_hard(membrane: Membrane, apex_stretch: np.ndarray, load_fraction: np.ndarray) -> np.ndarray:
-    """Where the coarse grid does not resolve the membrane: a high load near lock-up, and anywhere near the cone."""
-    lock_up = membrane.lock_up_stretch()[0]
-    return ((load_fraction > 0.7) & (apex_stretch > 0.72 * lock_up)) | (load_fraction > 0.93)
+def difficulty(membrane: Membrane, apex_stretch: np.ndarray, load_fraction: np.ndarray) -> np.ndarray:
+    """Which ladder of grids resolves the membrane, an index of `LADDERS` for each lane."""
+    locking = apex_stretch > 0.72 * membrane.lock_up_stretch()[0]
+    return (
+        (locking & (load_fraction > 0.7)).astype(int)
+        + (locking & (load_fraction > 0.86))
+        + 2 * (~locking & (load_fraction > 0.93))
+    )
 
 
 def load_fraction(membrane: Membrane, u: np.ndarray) -> np.ndarray:
@@ -142,49 +151,45 @@ def polish(
     *,
     tolerance=1e-9,
     reach=1.0,
-    quick=False,
     refine=False,
-    profile_steps=0.0,
 ) -> Points:
     """Newton from `u` (3, lanes) onto the contour, with rows·u = targets; `rows` is (lanes, 3).
 
     A row of NaN asks for a volume: V = target. `reach` bounds the total correction in scaled unknowns: farther means not
-    converged. `quick` stops after one residual on the finer grid; `refine` takes tangent and index
-    from a finer grid at the end, `profile_steps` the extremes along the membrane. Lanes that fail have ok = False and
+    converged. `refine`, one
+    for all or each lane, takes tangent and index from a finer grid at the end. Lanes that fail have ok = False and
     never disturb the others.
     """
     await_programs(membrane)
     u, rows, targets = np.array(u, float), np.asarray(rows, float), np.asarray(targets, float)
-    hard = is_hard(membrane, u[0], load_fraction(membrane, u))
-    order, parts = [], []
-    again = np.zeros(0, int)
-    for easy, ladder in ((True, EASY), (False, HARD)):
-        which = np.flatnonzero(~hard) if easy else np.sort(np.concatenate([np.flatnonzero(hard), again]))
-        if not len(which):
-            continue
-        done = _polish(
-            membrane,
-            contour,
-            u[:, which],
-            rows[which],
-            targets[which],
-            tolerance,
-            reach,
-            ladder[:2] if quick else ladder,
-            refine,
-            profile_steps,
-        )
-        if easy:
-            failed = ~done.ok if quick else ~(done.ok & (done.error <= tolerance))
-            again = which[failed]
-            which, done = which[~failed], done.take(np.flatnonzero(~failed))
-        order.append(which)
-        parts.append(done)
-    return Points.join(parts).take(np.argsort(np.concatenate(order)))
+    refined = np.broadcast_to(refine, u.shape[1:])
+    level = difficulty(membrane, u[0], load_fraction(membrane, u))
+
+    def solve(which, k):
+        parts = u[:, which], rows[which], targets[which], tolerance, reach, k, refined[which]
+        return _polish(membrane, contour, *parts)
+
+    todo = [np.flatnonzero(level == k) for k in range(len(LADDERS))]
+    order, done = [], []
+    while any(len(which) for which in todo):
+        groups = [(which, k) for k, which in enumerate(todo) if len(which)]
+        with concurrent.futures.ThreadPoolExecutor(len(groups)) as pool:
+            solved = list(pool.map(solve, *zip(*groups, strict=True)))
+        todo = [np.zeros(0, int) for _ in LADDERS]
+        for (which, k), points in zip(groups, solved, strict=True):
+            # what a grid does not resolve goes on to the next; the finer two end at the same grid
+            failed = ~points.ok | ((points.error > tolerance) & (k == 0))
+            if k + 1 < len(LADDERS) and failed.any():
+                todo[k + 1] = which[failed]
+                which, points = which[~failed], points.take(np.flatnonzero(~failed))
+            order.append(which)
+            done.append(points)
+    return Points.join(done).take(np.argsort(np.concatenate(order)))
 
 
-def _polish(membrane, contour, u, rows, targets, tolerance, reach, ladder, refine, profile_steps) -> Points:
+def _polish(membrane, contour, u, rows, targets, tolerance, reach, level, refine) -> Points:
     """`polish` of lanes that share one ladder of grids."""
+    ladder = LADDERS[level]
     coarse = ladder[0]
     u = np.array(u, float)
     lanes = u.shape[1]
@@ -226,19 +231,22 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, ladder, refin
                 length = np.where(share < 1, np.maximum(length, 1e-3), length)
             u[:, active] += move.T
             volume[active] += np.einsum("il,li->l", columns[:, 1][:, active], move)
-            size[active] = length
+            before, size[active] = size[active], length
             drift = np.linalg.norm((u[:, active] - start[:, active]).T / SCALE, axis=1)
-            settled[active] = (size[active] < 1e-5) & (_relative(move, u[:, active]) < 1e-4)
+            with np.errstate(all="ignore"):
+                # the next move, where Newton converges squared
+                ahead = np.where(length < 1e-3, length * (length / before) ** 2, np.inf)
+            settled[active] = ((length < 1e-5) | (ahead < 1e-9)) & (_relative(move, u[:, active]) < 1e-4)
             active = active[~settled[active] & np.isfinite(length) & (drift < 3 * reach)]
 
-    newton(active, coarse, 9)
+    newton(active, coarse, _TRIES[level])
     settled &= np.isfinite(u).all(axis=0)
     result = [volume.copy(), *(np.full(lanes, np.nan) for _ in range(4))]
     admissible = np.zeros(lanes, bool)
     change_of_volume = np.full(lanes, np.nan)
+    chord = np.zeros(lanes)
     discretisation = np.full((lanes, 2), np.nan)  # change of (rim condition, condition) from the coarser grid
     estimate = np.full(lanes, np.inf)
-    plane = np.full(lanes, np.inf)
 
     def correct(active, steps, adaptive=False):
         """Deferred correction on one grid: the residual there at first, and the state moved to make it zero."""
@@ -256,8 +264,10 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, ladder, refin
             vol = vol + np.einsum("il,li->l", columns[:, 1][:, working], move)
             for store, values in zip([*result, admissible], [vol, *rest], strict=False):
                 store[working] = values
-            # the next chord step would be smaller by the error of the Jacobian, 1e-3 or less
-            working = working[_relative(move, u[:, working]) > 3e-9]
+            # what the next chord step would move is smaller by the error of the Jacobian
+            moved = _relative(move, u[:, working])
+            chord[working] = moved * _CONTRACTION[level]
+            working = working[~((moved <= _MOST_MOVE) & (chord[working] <= 0.01 * tolerance))]
             if not len(working):
                 break
         return first[active]
@@ -269,16 +279,13 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, ladder, refin
         both = discretisation[active] / SAFETY + rounding
         fixed_apex = matrix[active].copy()
         fixed_apex[:, 2] = [1.0, 0.0, 0.0]
-        on_plane = matrix[active].copy()
-        on_plane[:, 2] = tangents(matrix[active][:, :2]) / SCALE
-        for store, system_matrix in ((estimate, fixed_apex), (plane, on_plane)):
-            inverse = np.abs(_solve(system_matrix, np.broadcast_to(np.eye(3), system_matrix.shape).copy())[:, :, :2])
-            moved = np.einsum("lij,lj->li", inverse, both)
-            of_volume = np.einsum("il,li->l", np.abs(columns[:, 1][:, active]), moved)
-            of_volume += _ROUNDING * np.abs(result[0][active]) + change_of_volume[active] / SAFETY
-            value = np.stack([u[1, active], result[0][active], u[2, active]])
-            error = np.stack([moved[:, 1], of_volume, moved[:, 2]]) / np.maximum(np.abs(value), 1e-3)
-            store[active] = np.maximum(np.nan_to_num(error.max(axis=0), nan=np.inf), LEAST_ESTIMATE)
+        inverse = np.abs(_solve(fixed_apex, np.broadcast_to(np.eye(3), fixed_apex.shape).copy())[:, :, :2])
+        moved = np.einsum("lij,lj->li", inverse, both)
+        of_volume = np.einsum("il,li->l", np.abs(columns[:, 1][:, active]), moved)
+        of_volume += _ROUNDING * np.abs(result[0][active]) + change_of_volume[active] / SAFETY
+        value = np.stack([u[1, active], result[0][active], u[2, active]])
+        error = np.stack([moved[:, 1], of_volume, moved[:, 2]]) / np.maximum(np.abs(value), 1e-3)
+        estimate[active] = np.maximum(np.nan_to_num(error.max(axis=0) + chord[active], nan=np.inf), LEAST_ESTIMATE)
 
     active = np.flatnonzero(settled)
     for steps in ladder[1:]:
@@ -287,7 +294,7 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, ladder, refin
         discretisation[active] = np.abs(correct(active, steps))
         estimate_errors(active)
         active = active[~(estimate[active] <= tolerance)]
-    if ladder == HARD and len(active):
+    if level and len(active):
         # within the scanned loads only: beyond them a branch ends where the estimate does
         active = active[(load_fraction(membrane, u[:, active]) <= SCANNED_LOAD) & (estimate[active] < 1e-6)]
         for exponent in ADAPTIVE:
@@ -298,13 +305,11 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, ladder, refin
                 estimate_errors(active)
                 active = active[~(estimate[active] <= tolerance)]
     which = np.flatnonzero(settled)
-    if profile_steps and len(which):
-        *_, result[3][which], result[4][which], _ = run_chunks(
-            lambda part: value_program(membrane, part, profile_steps), u[:, which]
-        )
-    if refine and len(which):
+    which = which[refine[which]]
+    if len(which):
+        steps = _REFINED[level]
         lag, vol, columns[..., which], zeros[which] = run_chunks(
-            lambda part: jacobian_program(membrane.material, part, 3 * coarse), u[:, which]
+            lambda part: jacobian_program(membrane.material, part, steps), u[:, which]
         )
         _, matrix[which] = system(which, lag, vol, columns[..., which])
     drift = np.linalg.norm((u - start).T / SCALE, axis=1)
@@ -319,6 +324,5 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, ladder, refin
         tangent=tangents(matrix[:, :2]),
         index=_index(zeros, matrix, columns, result[0], contour),
         error=estimate,
-        error_on_plane=plane,
         ok=ok,
     )

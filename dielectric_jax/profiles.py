@@ -17,7 +17,7 @@ __all__ = ["energy", "profile", "scaling_defect"]
 def _profile_program(membrane, apex, pressure, q, steps):
     shot = integrate_membrane(membrane.material, apex, pressure, q, steps, outputs=True, trail="profile", heights=True)
     times, values, along = shot.trail
-    radius, _, l1, l2, theta = along((times, values[:, :3]))
+    radius, _, l1, l2, theta = along.rows(times, values[:, :3])
     s1, s2, _, _ = stresses(membrane.material, l1, l2, q)
     area = l1 * l2
     return (

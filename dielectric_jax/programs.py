@@ -11,7 +11,7 @@ import numpy as np
 
 from .materials import stresses
 from .membrane import Membrane, field_ratio_squared, slopes
-from .shooting import COLUMNS, integrate_membrane
+from .shooting import COLUMNS, eighth_order_step, integrate_membrane
 
 __all__ = ["careful_program", "compile_ahead", "jacobian_program", "run_chunks", "value_program"]
 
@@ -30,9 +30,10 @@ def jacobian_program(material, u, steps):
 
 
 def _least_inside(values, rates):
-    """Least value of the quintic Hermite interpolants about each inner node that is lower than its neighbours.
+    """The least of the quintic Hermite interpolants about each inner node that is lower than its neighbours.
 
-    `values` and `rates` (per step) are (nodes, lanes) at equal steps; +inf where no inner node is.
+    `values` and `rates` (per step) are (nodes, lanes) at equal steps. Returns the value (+inf where there is none), the
+    node it belongs to, and its place in steps from that node.
     """
     before, here, after = values[:-2], values[1:-1], values[2:]
     low = (here <= before) & (here <= after) & jnp.isfinite(before) & jnp.isfinite(after)
@@ -48,7 +49,9 @@ def _least_inside(values, rates):
         second = 2 * a2 + x * (6 * a3 + x * (12 * a4 + x * 20 * a5))
         x = jnp.clip(x - first / jnp.where(low & (second != 0), second, 1.0), -1.0, 1.0)
     least = here + x * (slope + x * (a2 + x * (a3 + x * (a4 + x * a5))))
-    return jnp.min(jnp.where(low, jnp.minimum(least, here), jnp.inf), axis=0)
+    least = jnp.where(low, jnp.minimum(least, here), jnp.inf)
+    node = jnp.argmin(least, axis=0)
+    return jnp.min(least, axis=0), node + 1, jnp.take_along_axis(x, node[None], axis=0)[0]
 
 
 _BLOCK = 32  # steps of a trail that are searched together; only as many blocks as there are steps
@@ -68,7 +71,7 @@ def value_program(membrane, u, steps):
     apex, p, q = u
     material = membrane.material
     shot = integrate_membrane(material, apex, p, q, steps, outputs=True, trail="profile")
-    times, values, profile = shot.trail
+    times, values, along = shot.trail
     # blocks overlap by two nodes, so that every inner node has both neighbours in one
     padding = -(len(times) - 2) % _BLOCK
     times = jnp.pad(times, (0, padding), constant_values=jnp.inf)
@@ -80,29 +83,52 @@ def value_program(membrane, u, steps):
     def field(l1, l2):
         return -field_ratio_squared(membrane.breakdown, l1, l2)
 
+    functions = (hoop, field)
+
     def search(block, found):
-        *least, admissible = found
-        tau = jax.lax.dynamic_slice_in_dim(times, block * _BLOCK, _BLOCK + 2)
-        rows = jax.lax.dynamic_slice_in_dim(values, block * _BLOCK, _BLOCK + 2)
+        least, places, admissible = found
+        begin = block * _BLOCK
+        tau = jax.lax.dynamic_slice_in_dim(times, begin, _BLOCK + 2)
+        rows = jax.lax.dynamic_slice_in_dim(values, begin, _BLOCK + 2)
         done = jnp.isfinite(tau)[:, None]
-        radius, stretching, l1, l2, theta = profile((tau, jnp.where(done[..., None], rows, 0.0)))
+        radius, stretching, l1, l2, theta = along.rows(tau, jnp.where(done[..., None], rows, 0.0))
         rate1, rate2, _ = slopes(material, radius, l1, l2, theta, p, q)
-        for k, function in enumerate((hoop, field)):
+        new_least, new_places = [], []
+        for function, old, (old_node, old_x) in zip(functions, least, places, strict=True):
             value, rate = jax.jvp(function, (l1, l2), (rate1, rate2))
             value = jnp.where(done, value, jnp.inf)
-            inner = _least_inside(value, jnp.where(done, rate * stretching / steps, 0.0))
-            least[k] = jnp.minimum(least[k], jnp.minimum(inner, jnp.min(value, axis=0)))
+            inner, node, x = _least_inside(value, jnp.where(done, rate * stretching / steps, 0.0))
+            at_node = jnp.min(value, axis=0)
+            best = jnp.minimum(old, jnp.minimum(inner, at_node))
+            node = jnp.where(inner < at_node, begin + node, 0)
+            new_places.append((jnp.where(best < old, node, old_node), jnp.where(best < old, x, old_x)))
+            new_least.append(best)
         inside = jnp.all(material.admissible(l1, l2) | ~done, axis=0)
-        return *least, admissible & inside
+        return new_least, new_places, admissible & inside
 
     count = jnp.sum(jnp.isfinite(times))
-    begin = hoop(apex, apex), field(apex, apex), material.admissible(apex, apex)
-    least, largest, admissible = jax.lax.fori_loop(0, (count - 2 + _BLOCK - 1) // _BLOCK, search, begin)
-    return shot.lag, shot.volume, shot.height, shot.charge, least, -largest, admissible
+    nowhere = (jnp.zeros(apex.shape, int), jnp.zeros(apex.shape))
+    begin = [f(apex, apex) for f in functions], [nowhere] * 2, material.admissible(apex, apex)
+    least, places, admissible = jax.lax.fori_loop(0, (count - 2 + _BLOCK - 1) // _BLOCK, search, begin)
+
+    def rates(tau, y):
+        radius, stretching = along.position(tau)
+        rate1, rate2, bend = slopes(material, radius, apex + y[0], apex + y[1], y[2], p, q)
+        return stretching * jnp.stack([rate1, rate2, bend])
+
+    # at an inner extreme the interpolant only says where: one step of the solver from the node says how much
+    for k, (function, (node, x)) in enumerate(zip(functions, places, strict=True)):
+        inner = node > 0
+        tau = jnp.where(inner, times[node], 0.5)
+        y = jnp.take_along_axis(values, node[None, None], axis=0)[0]
+        y = eighth_order_step(rates, tau, jnp.where(inner, x / steps, 0.0), y)
+        least[k] = jnp.where(inner, function(apex + y[0], apex + y[1]), least[k])
+    return shot.lag, shot.volume, shot.height, shot.charge, least[0], -least[1], admissible
 
 
 @functools.cache
-def _threads() -> concurrent.futures.ThreadPoolExecutor:
+def threads() -> concurrent.futures.ThreadPoolExecutor:
+    """One thread a core, for work that waits for no other of these threads."""
     return concurrent.futures.ThreadPoolExecutor(max(os.cpu_count() or 1, 1))
 
 
@@ -138,5 +164,5 @@ def run_chunks(program: Callable, u: np.ndarray) -> list[np.ndarray]:
     def work(part):
         return [np.asarray(v) for v in program(part)]
 
-    done = [work(parts[0]), *(_threads().map(work, parts[1:]) if len(parts) > 1 else [])]
+    done = [work(parts[0]), *(threads().map(work, parts[1:]) if len(parts) > 1 else [])]
     return [np.concatenate(pieces, axis=-1)[..., :count] for pieces in zip(*done, strict=True)]
