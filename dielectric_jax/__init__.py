@@ -25,6 +25,7 @@ _ROOMS = {
     "profiles": ("energy", "profile", "scaling_defect"),
     "chart": ("explicit_map",),
     "continuation": ("Steps", "Trace", "trace"),
+    "surface": ("SheetState", "Surface"),
     "states": ("equilibrium",),
     "diagram": ("Diagram", "pressure_volume", "voltage_volume"),
     "cache": ("enable_compilation_cache",),
@@ -56,6 +57,7 @@ if typing.TYPE_CHECKING:
     from .scene import PARAMETERS, Scene, Window, describe
     from .shooting import shoot
     from .states import equilibrium
+    from .surface import SheetState, Surface
 
 
 def __getattr__(name: str):

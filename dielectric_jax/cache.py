@@ -4,7 +4,28 @@ import os
 import pathlib
 import sys
 
-__all__ = ["enable_compilation_cache"]
+__all__ = ["cache_folder", "enable_compilation_cache"]
+
+
+def cache_folder(directory: str | os.PathLike | None = None) -> pathlib.Path | None:
+    """The folder of this package in the user's cache folder, or `directory`.
+
+    The environment variable DIELECTRIC_JAX_CACHE names another folder, or switches the cache off with "off" (None).
+    """
+    asked = os.environ.get("DIELECTRIC_JAX_CACHE", "")
+    if asked == "off":
+        return None
+    if directory is not None:
+        return pathlib.Path(directory)
+    if asked:
+        return pathlib.Path(asked)
+    if sys.platform == "darwin":
+        base = pathlib.Path.home() / "Library" / "Caches"
+    elif sys.platform == "win32":
+        base = pathlib.Path(os.environ.get("LOCALAPPDATA", pathlib.Path.home()))
+    else:
+        base = pathlib.Path(os.environ.get("XDG_CACHE_HOME") or pathlib.Path.home() / ".cache")
+    return base / "dielectric_jax"
 
 
 def enable_compilation_cache(directory: str | os.PathLike | None = None) -> pathlib.Path | None:
@@ -15,18 +36,9 @@ def enable_compilation_cache(directory: str | os.PathLike | None = None) -> path
     """
     import jax
 
-    asked = os.environ.get("DIELECTRIC_JAX_CACHE", "")
-    if asked == "off":
+    path = cache_folder(directory)
+    if path is None:
         return None
-    if directory is None:
-        if sys.platform == "darwin":
-            base = pathlib.Path.home() / "Library" / "Caches"
-        elif sys.platform == "win32":
-            base = pathlib.Path(os.environ.get("LOCALAPPDATA", pathlib.Path.home()))
-        else:
-            base = pathlib.Path(os.environ.get("XDG_CACHE_HOME") or pathlib.Path.home() / ".cache")
-        directory = asked or base / "dielectric_jax"
-    path = pathlib.Path(directory)
     jax.config.update("jax_compilation_cache_dir", str(path))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)

@@ -31,10 +31,11 @@ _PANELS = (0.45, 0.75)
 _REFINEMENT = 4
 
 
-def explicit_map(material: AbstractMaterial, apex_stretch, voltage_squared, prestretch, steps=48.0):
+def explicit_map(material: AbstractMaterial, apex_stretch, voltage_squared, prestretch, steps=48.0, *, outputs=False):
     """Pressure and volume of the one equilibrium at (λa, q); elementwise over arrays of one shape, λa > λ0, q < q_max.
 
-    The third result is the largest dλ2/dR along the way times the scale of R: the map is valid where it is negative.
+    The third result is negative where the map is valid (dλ2/dR < 0 all along the way). With `outputs` a fourth holds the
+    height, C = Q/Φ, and the elastic energy 2π ∫ W R dR.
 
     >>> from dielectric_jax import Gent
     >>> p, v, slope = explicit_map(Gent(), 2.26310592942, 0.0, 1.0, 64.0)
@@ -53,7 +54,10 @@ def explicit_map(material: AbstractMaterial, apex_stretch, voltage_squared, pres
     radius0 = rate * first
     l1, l2 = apex + a * radius0**2, apex - fall * first**2
     slope0 = jnp.arcsin(radius0 * l2**2 / (2 * stresses(material, l1, l2, q)[0]))
-    start = jnp.stack([jnp.log(rate), slope0, a * radius0**2, jnp.pi / 4 * apex**3 * kappa * radius0**4, -one])
+    start = [jnp.log(rate), slope0, a * radius0**2, jnp.pi / 4 * apex**3 * kappa * radius0**4, -one]
+    if outputs:
+        area = jnp.pi * radius0**2
+        start += [apex * kappa * radius0**2 / 2, area * apex**4, area * material.energy(apex, apex)]
 
     def field(tau, y):
         xi, stretching = position(tau)
@@ -63,13 +67,16 @@ def explicit_map(material: AbstractMaterial, apex_stretch, voltage_squared, pres
         rate_volume = jnp.pi * (radius * l2) ** 2 * l1 * jnp.sin(y[1])
         # the last entry integrates the indicator of dλ2/dR ≥ 0, so it stays at −1 where the map is valid
         wrong = jnp.where(rate2 < 0, 0.0, 10.0)
-        return stretching * jnp.stack(
-            [per_xi / radius - 1 / xi, per_xi * rate_slope, per_xi * rate1, per_xi * rate_volume, wrong]
-        )
+        rates = [per_xi / radius - 1 / xi, per_xi * rate_slope, per_xi * rate1, per_xi * rate_volume, wrong]
+        if outputs:
+            ring = per_xi * 2 * jnp.pi * radius
+            rates += [per_xi * l1 * jnp.sin(y[1]), ring * (l1 * l2) ** 2, ring * material.energy(l1, l2)]
+        return stretching * jnp.stack(rates)
 
-    end, _ = integrate(field, start, steps)
+    end, _ = integrate(field, jnp.stack(start), steps)
     pressure = jnp.exp(end[0])
-    return pressure, end[3] / pressure**3, end[4]
+    found = pressure, end[3] / pressure**3, end[4]
+    return (*found, (end[5] / pressure, end[6] / pressure**2, end[7] / pressure**2)) if outputs else found
 
 
 @dataclasses.dataclass(frozen=True)

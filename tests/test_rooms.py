@@ -18,6 +18,8 @@ ROOMS = [
     "programs",
     "equilibria",
     "chart",
+    "sheet",
+    "surface",
     "continuation",
     "tracing",
     "branches",
