@@ -183,6 +183,10 @@ def _exact_curve(membrane, contour, line, tangents, codes, count, tolerance, cha
         points = _insert(membrane, contour, points, wide, tolerance)
         if len(points) == before:
             break
+    if points.volume[0] > points.volume[-1]:  # a branch begins at its smaller volume
+        points = points.take(slice(None, None, -1))
+        points.tangent = -points.tangent
+        codes.reverse()
     gap = np.linalg.norm(np.diff(scaled(points.u.T), axis=0), axis=1)
     return Curve(points, np.concatenate([[0.0], np.cumsum(gap)]), codes[0], codes[1], tuple(flags))
 
@@ -266,7 +270,7 @@ def find_curves(membrane: Membrane, contour: Contour, limits, *, count: int, tol
         x = scaled(line)
         for end in (0, -1):
             _clip_to_window(x, tangents, inside, end)
-        codes = [_name_end(c, locks) for c in codes]
+        codes = [_name_end(c, locks, membrane, x[end] * SCALE) for c, end in zip(codes, (0, -1), strict=True)]
         curve = _exact_curve(membrane, contour, x, tangents, codes, count, tolerance, chart)
         if curve is None:
             complete = False
@@ -278,10 +282,15 @@ def find_curves(membrane: Membrane, contour: Contour, limits, *, count: int, tol
     return curves, bool(complete)
 
 
-def _name_end(code: Code, locks: bool) -> Code:
+def _name_end(code: Code, locks: bool, membrane: Membrane, u: np.ndarray) -> Code:
+    """Why a trace that ended at u = (λa, p, q) did so; a step that shrank to nothing is named by the place."""
     if code is Code.lock_up and not locks:
         return Code.window_stretch
-    return Code.apex_cone if code in (Code.step_too_small, Code.not_converged) else code
+    if code not in (Code.step_too_small, Code.not_converged):
+        return code
+    if u[0] - float(membrane.prestretch) < 1e-3 * (membrane.lock_up_stretch()[0] - float(membrane.prestretch)):
+        return Code.window_stretch  # the flat end, where p falls like a power of λa − λ0
+    return Code.apex_cone if u[2] > 0.5 * float(largest_load(membrane.material, u[0])) else Code.beyond_tolerance
 
 
 def _long_enough(membrane, vertices) -> bool:

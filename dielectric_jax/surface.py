@@ -170,11 +170,8 @@ class Surface(eqx.Module):
         arrays = {name: np.asarray(getattr(self, name)) for name in _ARRAYS}
         header = {"format": _FORMAT, "tolerance": self.tolerance, "checksum": _checksum(arrays)}
         buffer = io.BytesIO()
-        more: dict[str, typing.Any] = {
-            "header": np.array(json.dumps(header)),
-            "fingerprint": _fingerprint(self.membrane),
-        }
-        np.savez(buffer, **more, **arrays)
+        more = {"header": np.array(json.dumps(header)), "fingerprint": _fingerprint(self.membrane)}
+        np.savez(buffer, **typing.cast(typing.Any, arrays | more))
         path = pathlib.Path(path)
         partial = path.with_name(path.name + ".part")
         partial.write_bytes(buffer.getvalue())
