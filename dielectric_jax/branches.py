@@ -1,4 +1,4 @@
-"""From a scene to its branches: scan, continuation from a seed on every contour, points made exact, special points.
+"""From a scene to its branches: scan, continuation from a seed on every contour, points made exact.
 
 The scan says which branches exist; continuation follows each one independently of the scan's values; the two are then
 compared, and a contour that no branch covers is a new seed. Folds are not stepped over: the step is bounded by the turn of
@@ -7,38 +7,23 @@ Hermite interpolant of every event function is searched for a hidden pair of roo
 """
 
 import collections
-import dataclasses
 
 import jax
 import numpy as np
 
 from .chart import Scan, map_nodes, scan
-from .equilibria import SCALE, Points, polish
+from .equilibria import SCALE
 from .loading import Contour
 from .materials import largest_load
 from .membrane import Membrane
 from .results import Code
-from .scene import SCANNED_LOAD
 from .shooting import MOST_STEPS
-from .tracing import run_traces
+from .stations import Curve, clip_to_window, exact_curve, hermite, largest_on, scaled
+from .tracing import run_trace, run_traces
 
-__all__ = ["Curve", "find_curves"]
+__all__ = ["find_curves"]
 
 _NEAR, _SAME = 0.2, 0.03  # on the chart, in tenths of its extent: on one branch as the scan sees it; the same point
-_MOST_TURN = 0.3
-_CONE_WEIGHT = 0.7
-_MOST_APPROACH = 0.15  # change of log(1 − t) between neighbours; folds near the cone are about 1.2 apart
-
-
-@dataclasses.dataclass
-class Curve:
-    """A branch as exact points in order, with arclength `position` in scaled unknowns, and why it starts and ends."""
-
-    points: Points
-    position: np.ndarray
-    start: Code
-    end: Code
-    flags: tuple[str, ...] = ()
 
 
 _scans: collections.OrderedDict = collections.OrderedDict()
@@ -54,11 +39,6 @@ def cached_scan(membrane: Membrane, stretches, loads) -> Scan:
             _scans.popitem(last=False)
     _scans.move_to_end(key)
     return _scans[key]
-
-
-def scaled(u: np.ndarray) -> np.ndarray:
-    """Points (…, 3) in the units of the arclength."""
-    return u / SCALE
 
 
 def _on_chart(membrane: Membrane, u: np.ndarray) -> np.ndarray:
@@ -80,144 +60,6 @@ def _distance_to_polyline(points: np.ndarray, line: np.ndarray) -> np.ndarray:
     return best
 
 
-def hermite(x0, x1, t0, t1, length, share):
-    """Cubic Hermite interpolant at `share` in (0, 1) of intervals of `length`; arrays broadcast."""
-    s, c = share, 1 - share
-    return c * c * (1 + 2 * s) * x0 + s * c * c * length * t0 + s * s * (3 - 2 * s) * x1 - s * s * c * length * t1
-
-
-def _cone_measure(membrane, line) -> np.ndarray:
-    """−log(1 − t): it counts the folds that accumulate towards the cone at the apex."""
-    fraction = line[:, 2] * SCALE[2] / np.asarray(largest_on(membrane.material, line[:, 0]))
-    return -_CONE_WEIGHT * np.log(np.maximum(1 - fraction, 1e-6))
-
-
-def largest_on(material, apex) -> np.ndarray:
-    """q_max(λa) of any number of points through one compiled shape."""
-    padded = np.pad(apex, (0, -len(apex) % 512), mode="edge")
-    parts = [np.asarray(largest_load(material, padded[i : i + 512])) for i in range(0, len(padded), 512)]
-    return np.concatenate(parts)[: len(apex)]
-
-
-def _resample(membrane, line, tangents, count):
-    """`count` stations on the traced points: predictions (count, 3) and plane normals, scaled.
-
-    They are equally spaced in what a reader sees, closer where the apex sharpens to a cone.
-    """
-    gap = np.linalg.norm(np.diff(line, axis=0), axis=1)
-    # fewer stations where the pressure shoots up at lock-up and where q < 0, which no voltage reaches
-    q = line[:, 2]
-    seen = np.stack(
-        [
-            line[:, 0],
-            5 * np.arcsinh(line[:, 1] / 5),
-            np.where(q > 0, 2, 0.5) * np.arcsinh(q),
-            _cone_measure(membrane, line),
-        ]
-    )
-    measure = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(seen), axis=0))])
-    s = np.linspace(0.0, measure[-1], count)
-    i = np.clip(np.searchsorted(measure, s, side="right") - 1, 0, len(gap) - 1)
-    share = ((s - measure[i]) / (measure[i + 1] - measure[i]))[:, None]
-    at = hermite(line[i], line[i + 1], tangents[i], tangents[i + 1], gap[i][:, None], share)
-    normal = (1 - share) * tangents[i] + share * tangents[i + 1]
-    return at, normal / np.linalg.norm(normal, axis=1, keepdims=True)
-
-
-def _clip_to_window(line, tangents, inside, end):
-    """Moves the outermost point, which lies outside, back onto the boundary along the Hermite curve."""
-    if inside(line[end] * SCALE) >= 0:
-        return
-    inner = -2 if end == -1 else 1
-    low, high = 0.0, 1.0
-    gap = np.linalg.norm(line[end] - line[inner])
-    sign = 1.0 if end == -1 else -1.0
-    for _ in range(50):
-        middle = (low + high) / 2
-        at = hermite(line[inner], line[end], sign * tangents[inner], sign * tangents[end], gap, middle)
-        low, high = (middle, high) if inside(at * SCALE) >= 0 else (low, middle)
-    line[end] = hermite(line[inner], line[end], sign * tangents[inner], sign * tangents[end], gap, low)
-    tangents[end] = (1 - low) * tangents[inner] + low * tangents[end]
-    tangents[end] /= np.linalg.norm(tangents[end])
-
-
-def _exact_curve(membrane, contour, line, tangents, codes, count, tolerance, chart) -> Curve | None:
-    """The traced branch as exact points: stations, Newton, refinement where the tangent turns, honest ends."""
-    at, normal = _resample(membrane, line, tangents, count)
-    # at the flat end p falls like a power of λa − λ0, which no Hermite cubic follows: start on the scan
-    flat = at[:, 0] - float(membrane.prestretch) < 0.02
-    if flat.any():
-        load = at[flat, 2] * SCALE[2] / largest_on(membrane.material, at[flat, 0])
-        at[flat, 1] = chart.pressure_of(at[flat, 0], load) / SCALE[1]
-    target = (normal * at).sum(axis=1)
-    points = polish(membrane, contour, (at * SCALE).T, normal / SCALE, target, tolerance=tolerance, reach=0.5)
-    points.tangent = points.tangent * np.where((points.tangent * normal).sum(axis=1) < 0, -1.0, 1.0)[:, None]
-    fraction = points.u[2] / largest_on(membrane.material, np.nan_to_num(points.u[0], nan=2.0))
-    # within the scanned loads rounding at the flat end may exceed the tolerance: such points stay, with a flag
-    fair = (points.error <= tolerance) | ((fraction <= SCANNED_LOAD) & (points.error < 1e-6))
-    good = np.flatnonzero(points.ok & fair)
-    if len(good) < 2:
-        return None
-    codes = list(codes)
-    # beyond the scanned loads a branch is followed only as far as its error estimate allows
-    for end, lost in ((0, good[0] > 0), (1, good[-1] < len(points) - 1)):
-        if lost:
-            outer = good[0] if end == 0 else good[-1]
-            codes[end] = Code.apex_cone if fraction[outer] > 0.5 else Code.beyond_tolerance
-    points, gaps = points.take(good), np.flatnonzero(np.diff(good) > 1)
-    flags = []
-    if len(gaps):  # lanes that Newton lost between good ones: once more, from better starts
-        before = len(points)
-        points = _insert(membrane, contour, points, gaps, tolerance)
-        if len(points) < before + len(gaps):
-            flags.append("points_lost")
-    if (points.error > tolerance).any():
-        flags.append("error_above_tolerance")
-    for _ in range(4):
-        turn = (points.tangent[1:] * points.tangent[:-1]).sum(axis=1)
-        approach = np.abs(np.diff(_cone_measure(membrane, scaled(points.u.T)))) / _CONE_WEIGHT
-        wide = np.flatnonzero((turn < np.cos(_MOST_TURN)) | (approach > _MOST_APPROACH))
-        if not len(wide) or len(points) > 4 * count:
-            break
-        before = len(points)
-        points = _insert(membrane, contour, points, wide, tolerance)
-        if len(points) == before:
-            break
-    if points.volume[0] > points.volume[-1]:  # a branch begins at its smaller volume
-        points = points.take(slice(None, None, -1))
-        points.tangent = -points.tangent
-        codes.reverse()
-    gap = np.linalg.norm(np.diff(scaled(points.u.T), axis=0), axis=1)
-    return Curve(points, np.concatenate([[0.0], np.cumsum(gap)]), codes[0], codes[1], tuple(flags))
-
-
-def between(points: Points, i: np.ndarray, share: np.ndarray):
-    """Prediction (scaled), plane normal and target at `share` of the chords from points i to i + 1."""
-    x = scaled(points.u.T)
-    x0, x1 = x[i], x[i + 1]
-    gap = np.linalg.norm(x1 - x0, axis=1, keepdims=True)
-    normal = (x1 - x0) / gap
-    at = hermite(x0, x1, points.tangent[i], points.tangent[i + 1], gap, share[:, None])
-    return at, normal, (normal * x0).sum(axis=1) + share * gap[:, 0]
-
-
-def solve_between(membrane, contour, points, i, share, **options) -> Points:
-    """Exact points on the planes across the chords from points i to i + 1, oriented like the branch."""
-    at, normal, target = between(points, i, share)
-    found = polish(membrane, contour, (at * SCALE).T, normal / SCALE, target, reach=0.5, **options)
-    found.tangent = found.tangent * np.where((found.tangent * normal).sum(axis=1) < 0, -1.0, 1.0)[:, None]
-    return found
-
-
-def _insert(membrane, contour, points, wide, tolerance) -> Points:
-    """Points with the middles of the intervals `wide` added where Newton finds them."""
-    middle = solve_between(membrane, contour, points, wide, np.full(len(wide), 0.5), tolerance=tolerance)
-    good = np.flatnonzero(middle.ok & (middle.error <= tolerance))
-    place = np.concatenate([np.arange(len(points)), wide[good] + 0.5])
-    joined = Points.join([points, middle.take(good)])
-    return joined.take(np.argsort(place, kind="stable"))
-
-
 def find_curves(membrane: Membrane, contour: Contour, limits, *, count: int, tolerance: float):
     """All branches of the contour in the window, and whether scan and continuation agree on the scanned part.
 
@@ -233,6 +75,13 @@ def find_curves(membrane: Membrane, contour: Contour, limits, *, count: int, tol
     def inside(u):
         fraction = u[2] / float(largest_load(membrane.material, u[0]))
         return min(u[0] - box[0], box[1] - u[0], fraction - box[2], box[3] - fraction)
+
+    def retrace(u, direction):
+        line, tangents, code = run_trace(membrane, contour, limits, u, direction, finest=True)
+        line, tangents = scaled(line), np.array(tangents)
+        if len(line) > 1:
+            clip_to_window(line, tangents, inside, -1)
+        return line, tangents, _name_end(code, locks, membrane, line[-1] * SCALE) if len(line) else code
 
     lines, shadows = [], []
     pending = [c for c in contours if _long_enough(membrane, c)]
@@ -269,11 +118,11 @@ def find_curves(membrane: Membrane, contour: Contour, limits, *, count: int, tol
     for line, tangents, codes in lines:
         x = scaled(line)
         for end in (0, -1):
-            _clip_to_window(x, tangents, inside, end)
+            clip_to_window(x, tangents, inside, end)
         codes = [_name_end(c, locks, membrane, x[end] * SCALE) for c, end in zip(codes, (0, -1), strict=True)]
-        curve = _exact_curve(membrane, contour, x, tangents, codes, count, tolerance, chart)
+        curve, whole = exact_curve(membrane, contour, x, tangents, codes, count, tolerance, chart, retrace)
+        complete &= whole
         if curve is None:
-            complete = False
             continue
         complete &= _agrees(membrane, curve, contours, chart)
         curves.append(curve)

@@ -12,6 +12,7 @@ accumulate towards a point without the tangent turning much, a monitor bounds th
 """
 
 import dataclasses
+import math
 import typing
 from collections.abc import Callable
 
@@ -30,7 +31,8 @@ class Steps:
 
     Argument `most_points` bounds the points a lane may hold (a shape, so it is compiled in); `largest`, `smallest` and
     `first` bound the step length, `most_turn` the angle between tangents of neighbours in radians, `most_correction` the
-    distance between prediction and corrected point as a fraction of the step, `most_change` the change of a monitor.
+    distance between prediction and corrected point as a fraction of the step, `most_change` the change of a monitor,
+    `most_residual` the residual at which a last Newton step may begin.
     """
 
     first: float = 0.1
@@ -39,6 +41,7 @@ class Steps:
     most_turn: float = 0.35
     most_correction: float = 0.15
     most_change: float = 0.4
+    most_residual: float = math.inf
     tolerance: float = 1e-6
     most_points: int = 400
 
@@ -50,6 +53,7 @@ class Steps:
             "most_turn",
             "most_correction",
             "most_change",
+            "most_residual",
             "tolerance",
             "most_points",
         ):
@@ -169,6 +173,7 @@ def trace(
         tangent = tangent * jnp.where(tangent @ s["tangent"] < 0, -1.0, 1.0)
         corrected = s["trial"] + move
         settled = size**2 <= steps.tolerance * jnp.where(first, 1.0, jnp.minimum(s["step"], 1.0) ** 2)
+        settled &= jnp.max(jnp.abs(value)) <= steps.most_residual
         turn = jnp.arccos(jnp.clip(tangent @ s["tangent"], -1.0, 1.0))
         offset = jnp.linalg.norm(corrected - anchor)
         change = jnp.max(jnp.abs(watch(corrected) - s["watched"]))

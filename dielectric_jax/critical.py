@@ -11,8 +11,8 @@ import dataclasses
 
 import numpy as np
 
-from .branches import Curve, between, hermite, scaled, solve_between
 from .equilibria import SCALE, Points, polish
+from .stations import Curve, between, hermite, scaled, solve_between
 
 __all__ = ["Located", "fold_events", "locate", "special_points"]
 

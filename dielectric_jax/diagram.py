@@ -7,7 +7,7 @@ import dataclasses
 
 import numpy as np
 
-from .branches import Curve, find_curves
+from .branches import find_curves
 from .critical import Located, brackets, fold_events, locate, special_points
 from .loading import Chamber, ConstantVoltage, Contour
 from .materials import largest_load
@@ -19,6 +19,7 @@ from .results import Code, SceneError
 from .scene import SCANNED_LOAD, Scene, Window, describe
 from .states import check_concrete, check_request, flat_state, states_of
 from .states import filling as filling_of
+from .stations import Curve
 from .tracing import warm_up
 
 __all__ = ["Diagram", "pressure_volume", "voltage_volume"]

@@ -108,7 +108,7 @@ class Branch:
     """A curve of equilibria: one array of shape (points,) for each of `QUANTITIES`, and why it starts and ends.
 
     `flags` lists what a reader must know of the branch as a whole: "error_above_tolerance"; "points_lost", a gap between
-    stations; "special_point_lost", a special point that is bracketed but was not met.
+    stations; "end_lost", an end inside the scanned window that was not reached; "special_point_lost", a special point that is bracketed but was not met.
     """
 
     voltage_squared: np.ndarray

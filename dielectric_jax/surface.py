@@ -57,6 +57,7 @@ class Surface(eqx.Module):
     `coefficients` (elements, 5, 16, 20) their polynomials, `errors` (elements,) the largest relative error seen at fresh
     states. Build one with `Surface.build`.
 
+    >>> import jax
     >>> surface = Surface.build(Membrane(), tolerance=1e-9)
     >>> state = surface(2.26310592942, 0.0)
     >>> round(float(state.pressure), 9), round(float(state.volume), 7)

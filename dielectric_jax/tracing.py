@@ -15,9 +15,12 @@ from .programs import compile_ahead, threads
 from .results import Code
 from .shooting import rim_with_columns
 
-__all__ = ["run_traces", "warm_up"]
+__all__ = ["run_trace", "run_traces", "warm_up"]
 
-_STEPS = Steps(first=0.05, largest=1.0, smallest=2e-5, most_turn=0.35, most_correction=0.2, tolerance=1e-4)
+# towards lock-up the rim condition is a wall: a small step of Newton may begin far beyond it
+_STEPS = Steps(
+    first=0.05, largest=1.0, smallest=2e-5, most_turn=0.35, most_correction=0.2, tolerance=1e-4, most_residual=0.1
+)
 # grids of the continuation, and the load fractions up to which each is used, near lock-up (an inner layer forms) and
 # elsewhere (towards the cone); the last is the last resort
 _TRACE_STEPS = (10.0, 24.0, 64.0, 160.0)
@@ -77,12 +80,19 @@ def run_traces(membrane, contour, limits, seeds, directions):
     """Traces from many seeds, each on a core of its own while there are any: a list of (points, tangents, code)."""
 
     def one(seed, direction):
-        return _run_trace(membrane, contour, limits, np.asarray(seed), np.asarray(direction))
+        return run_trace(membrane, contour, limits, seed, direction)
 
     return list(threads().map(one, seeds, directions))
 
 
-def _run_trace(membrane, contour, limits, seed, direction, level=0):
+def run_trace(membrane, contour, limits, seed, direction, *, finest=False):
+    """One trace, from the coarsest grid on or on the finest alone: points, unit tangents in scaled unknowns, code."""
+    level = len(_TRACE_STEPS) - 1 if finest else 0
+    points, tangents, code = _run_trace(membrane, contour, limits, np.asarray(seed), np.asarray(direction), level)
+    return points, tangents / SCALE, code
+
+
+def _run_trace(membrane, contour, limits, seed, direction, level):
     """One trace; where it leaves the region its grid resolves it goes on from there on the finer grid."""
     grid = _TRACE_STEPS[level], np.array(_TOPS[level])
     done = _trace_program(membrane.material, membrane.prestretch, contour, limits, seed, direction, True, *grid, _STEPS)

@@ -11,6 +11,8 @@ import pytest
 
 import dielectric_jax as dj
 from dielectric_jax import Code, Steps, trace
+from dielectric_jax.equilibria import SCALE
+from dielectric_jax.tracing import run_trace
 
 ONES = np.ones(2)
 USUAL = Steps()
@@ -263,7 +265,6 @@ def test_step_settings_out_of_range_are_refused_by_name(options):
 # --- the membrane at Φ = 0.15: four folds in pressure, two of them close to the cone ---
 
 FOLDS = 4
-SCALE = np.array([1.0, 0.2, 0.02])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -363,3 +364,16 @@ def test_four_folds_in_the_diagram_at_every_setting(membrane, options):
     folds = sorted((p for p in diagram.special_points if p.kind == "fold"), key=lambda p: p.apex_stretch)
     assert [round(p.apex_stretch, 4) for p in folds] == [2.0992, 6.0512, 8.4119, 9.8986]
     assert len(diagram.branches) == 1 and diagram.complete
+
+
+def test_tangents_of_a_trace_lead_along_it():
+    """In scaled unknowns the tangent is a unit vector along the chord to the next point."""
+    membrane = dj.Membrane()
+    contour = dj.ConstantPressure(1.82).contour()
+    limits = np.array([1.0, 11.6, -1.0, 1.0, 8.4])
+    seed = np.array([1.82, 1.82, 0.0])
+    points, tangents, _ = run_trace(membrane, contour, limits, seed, np.array([1.0, 0.0, 0.0]))
+    chords = np.diff(points / SCALE, axis=0)
+    chords /= np.linalg.norm(chords, axis=1)[:, None]
+    assert np.allclose(np.linalg.norm(tangents, axis=1), 1.0)
+    assert ((chords * tangents[:-1]).sum(axis=1) > 0.9).all()

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import dielectric_jax as dj
+from dielectric_jax.chart import explicit_map
 
 SCENES = {
     "VC=800": ("chamber", 800.0),
@@ -502,3 +503,32 @@ def test_index_along_the_branches(diagram):
         below = branch.voltage_squared < 0.03
         for k in range(len(folds) + 1):
             assert set(branch.index[(sections == k) & below]) == {k % 2}
+
+
+@pytest.mark.parametrize(
+    ("prestretch", "limit", "pressure"),
+    [(1.8781364210247276, 986.0181363515143, 0.7102687165892075), (2.8149978467522683, 476.63617826520533, 0.40611340)],
+)
+def test_the_wall_before_lock_up_is_followed(prestretch, limit, pressure):
+    """Towards lock-up the rim condition rises like an exponential: a trace that steps beyond it loses the branch."""
+    membrane = dj.Membrane(dj.Gent(limit), prestretch)
+    diagram = dj.voltage_volume(dj.Scene(membrane, dj.ConstantPressure(pressure)))
+    assert diagram.complete
+    inflated = max(diagram.branches, key=lambda b: b.volume.max())
+    # the branch reaches the lock-up or the loads that the scan leaves out
+    fraction = inflated.voltage_squared[-1] / float(membrane.largest_load(inflated.apex_stretch[-1]))
+    assert inflated.end is dj.Code.lock_up or fraction > 0.9
+    assert "end_lost" not in inflated.flags
+    # every state belongs to the explicit map
+    inside = (inflated.voltage_squared / np.asarray(membrane.largest_load(inflated.apex_stretch))) < 0.85
+    some = np.flatnonzero(inside)[::8]
+    p, v, _ = explicit_map(
+        membrane.material, inflated.apex_stretch[some], inflated.voltage_squared[some], prestretch, 319.0
+    )
+    assert np.allclose(p, pressure, rtol=1e-5) and np.allclose(v, inflated.volume[some], rtol=1e-5)
+
+
+def test_flat_end_of_a_pressure_volume_curve(curve):
+    branch = curve(0.0).branches[0]
+    assert branch.start is dj.Code.window_stretch and branch.end is dj.Code.lock_up
+    assert branch.volume[0] < 0.02 and (np.diff(branch.volume) > 0).all()

@@ -22,6 +22,7 @@ ROOMS = [
     "surface",
     "continuation",
     "tracing",
+    "stations",
     "branches",
     "critical",
     "states",
