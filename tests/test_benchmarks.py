@@ -50,3 +50,12 @@ def test_the_first_diagram_is_measured_and_right(tmp_path):
     empty, filled, warm = record["records"]
     assert filled["compile_seconds"] < empty["compile_seconds"]
     assert warm["seconds_per_diagram"] < filled["seconds_per_diagram"]
+
+
+def test_chambers_on_the_surface_agree_with_continuation(tmp_path):
+    record, said = quick("ensemble.py", tmp_path)
+    assert record["compared"] >= 6 and not record["differing"], said
+    assert record["largest_difference"] < 1e-8
+    group = record["groups"][0]
+    assert group["chambers"] == group["compared"] + group["unresolved"] == 12
+    assert group["microseconds_per_chamber"] > 0

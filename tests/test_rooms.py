@@ -20,6 +20,7 @@ ROOMS = [
     "chart",
     "sheet",
     "surface",
+    "ensemble",
     "continuation",
     "tracing",
     "stations",
