@@ -158,7 +158,7 @@ def _locate_loads(membrane, contour, curves, wanted, tolerance):
     share = _hermite_roots(x[first, 2], x[first + 1, 2], t[first, 2], t[first + 1, 2], gap, target / SCALE[2])
     at, normal, _ = between(ends, first, share)
     rows = np.tile([0.0, 0.0, 1.0], (len(wanted), 1))
-    points = polish(membrane, contour, (at * SCALE).T, rows, target, tolerance=tolerance / 4, reach=0.5)
+    points = polish(membrane, contour, (at * SCALE).T, rows, target, tolerance=tolerance / 2, reach=0.5)
     points.tangent = points.tangent * np.where((points.tangent * normal).sum(axis=1) < 0, -1.0, 1.0)[:, None]
     along = (normal * (scaled(points.u.T) - x[first])).sum(axis=1)
     ok = points.ok & (along > -1e-6) & (along < gap + 1e-6) & (points.error <= tolerance)
@@ -199,7 +199,7 @@ def _locate_roots(membrane, contour, curves, wanted, tolerance):
             ends,
             first[active],
             at,
-            tolerance=tolerance / 4,
+            tolerance=tolerance / 2,
             refine=np.array(["fold" in wanted[n][0] for n in active]),  # folds want exact tangents
         )
         f = values(found, active)

@@ -109,13 +109,16 @@ class _ById:
 
 def _newton(function, x, valid):
     """Newton for function(x) = 0 in two unknowns; returns x and the size of the last move."""
-    size = jnp.asarray(jnp.inf)
-    for _ in range(_NEWTON):
+
+    def step(_, state):
+        x, _ = state
         value, slope = function(x), jax.jacfwd(function)(x)
         move = -jnp.linalg.solve(slope, value)
         move = jnp.clip(jnp.where(valid, move, 0.0), -0.3, 0.3)
-        x, size = x + move, jnp.max(jnp.abs(move))
-    return x, size
+        return x + move, jnp.max(jnp.abs(move))
+
+    # a loop, not unrolled: it compiles in a fraction of the time
+    return jax.lax.fori_loop(0, _NEWTON, step, (x, jnp.asarray(jnp.inf)))
 
 
 def _cubic_root(f, load, at):

@@ -244,15 +244,18 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, level, refine
     result = [volume.copy(), *(np.full(lanes, np.nan) for _ in range(4))]
     admissible = np.zeros(lanes, bool)
     change_of_volume = np.full(lanes, np.nan)
-    chord = np.zeros(lanes)
+    chord = np.zeros(lanes)  # what is left of the chord steps, relative
     discretisation = np.full((lanes, 2), np.nan)  # change of (rim condition, condition) from the coarser grid
     estimate = np.full(lanes, np.inf)
 
-    def correct(active, steps, adaptive=False):
-        """Deferred correction on one grid: the residual there at first, and the state moved to make it zero."""
+    def correct(active, steps, *, adaptive=False, last=True):
+        """Deferred correction on one grid: the residual there at first, and the state moved to make it zero.
+
+        Where it is not the `last` grid, lanes whose estimate sends them to the next one are moved only once.
+        """
         first = np.full((lanes, 2), np.nan)
         working = active
-        for _ in range(6):
+        for round_ in range(6):
             program = careful_program if adaptive else value_program
             lag, vol, *rest = run_chunks(lambda part, run=program: run(membrane, part, steps), u[:, working])
             right, _ = system(working, lag, vol, columns[..., working])
@@ -266,8 +269,13 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, level, refine
                 store[working] = values
             # what the next chord step would move is smaller by the error of the Jacobian
             moved = _relative(move, u[:, working])
+            again = ~((moved <= _MOST_MOVE) & (moved * _CONTRACTION[level] <= 0.01 * tolerance))
+            if round_ == 0 and not last:
+                discretisation[working], chord[working] = np.abs(right[:, :2]), 0.0
+                estimate_errors(working)
+                again &= ~(estimate[working] > tolerance)
             chord[working] = moved * _CONTRACTION[level]
-            working = working[~((moved <= _MOST_MOVE) & (chord[working] <= 0.01 * tolerance))]
+            working = working[again]
             if not len(working):
                 break
         return first[active]
@@ -291,7 +299,7 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, level, refine
     for steps in ladder[1:]:
         if not len(active):
             break
-        discretisation[active] = np.abs(correct(active, steps))
+        discretisation[active] = np.abs(correct(active, steps, last=steps == ladder[-1]))
         estimate_errors(active)
         active = active[~(estimate[active] <= tolerance)]
     if level and len(active):

@@ -23,7 +23,7 @@ _STEPS = Steps(
 )
 # grids of the continuation, and the load fractions up to which each is used, near lock-up (an inner layer forms) and
 # elsewhere (towards the cone); the last is the last resort
-_TRACE_STEPS = (10.0, 24.0, 64.0, 160.0)
+_TRACE_STEPS = (10.0, 24.0, 48.0, 160.0)
 _TOPS = ((0.7, 0.85), (0.82, 0.97), (2.0, 2.0), (2.0, 2.0))
 _TOP_NEAR_LOCK_UP = 0.94
 
