@@ -1,7 +1,7 @@
 """Ramps of many chambers on one membrane's surface: start, snap, landing, breakdown and area strain, nothing stepped.
 
 A chamber draws one contour on the chart. On a fixed table of the surface (stretches × loads) its condition
-p − p_gas(V) changes sign once in every row where the contour is a function t(λa); the folds of q along it, the landing and
+p − p_gas(V) changes sign once in every row while the contour is a function t(λa); the folds of q along it, the landing and
 the breakdown are then roots on the surface, met by Newton. Where a row shows several crossings, or none before breakdown,
 or two folds nearly merge, the chamber is left to `voltage_volume`: its code says so, and its numbers are NaN.
 """
@@ -42,8 +42,8 @@ class Outcome(enum.IntEnum):
 class Ramps(typing.NamedTuple):
     """Ramps up of many chambers, arrays of one shape (chambers,); NaN where there is no such event.
 
-    A point holds apex stretch, pressure, volume and voltage; `snap` and `landing` belong to the first snap, `snaps`
-    counts them. `area_strain` is (λa at breakdown / λa at the start)² − 1, or with breakdown in the snap that of the last
+    A point holds apex stretch, pressure, volume and voltage; `snap` and `landing` belong to the snap, `snaps`
+    is 1 where there is one, else 0 (a ramp with two snaps is left unresolved). `area_strain` is (λa at breakdown / λa at the start)² − 1, or with breakdown in the snap that of the last
     unbroken state. `error` bounds the relative error of the voltages and volumes.
     """
 
@@ -107,8 +107,11 @@ class _ById:
         return self.surface is other.surface
 
 
-def _newton(function, x, valid):
-    """Newton for function(x) = 0 in two unknowns; returns x and the size of the last move."""
+def _newton(function, start, valid, room=jnp.inf):
+    """Newton for function(x) = 0 in two unknowns; returns x and the size of the last move.
+
+    The size is infinite where the root lies farther than `room` in λa from the start: it is then another one.
+    """
 
     def step(_, state):
         x, _ = state
@@ -118,7 +121,8 @@ def _newton(function, x, valid):
         return x + move, jnp.max(jnp.abs(move))
 
     # a loop, not unrolled: it compiles in a fraction of the time
-    return jax.lax.fori_loop(0, _NEWTON, step, (x, jnp.asarray(jnp.inf)))
+    x, size = jax.lax.fori_loop(0, _NEWTON, step, (start, jnp.asarray(jnp.inf)))
+    return x, jnp.where(jnp.abs(x[0] - start[0]) <= room, size, jnp.inf)
 
 
 def _cubic_root(f, load, at):
@@ -214,9 +218,10 @@ def _ramps(surface: Surface, table: _Table, chamber, v0, atmosphere, exponent):
         # scaled so that both rows are of one size
         return jnp.stack([condition(x), (df[0] * dq[1] - df[1] * dq[0]) / (jnp.abs(df[1] * dq[1]) + 1e-300) * 0.1])
 
-    snaps_first = peak_row <= break_row
+    snaps_first = jnp.any(turns) & (peak_row <= break_row)
     peak = jnp.clip(peak_row, 1, len(at) - 2)
-    fold_x, fold_size = _newton(fold, jnp.stack([table.apex[peak], t[peak]]), snaps_first & single)
+    room = 2 * jnp.max(jnp.diff(table.apex))
+    fold_x, fold_size = _newton(fold, jnp.stack([table.apex[peak], t[peak]]), snaps_first & single, room)
     fold_q = on_surface(fold_x)[2]
 
     # another branch further on matters where it may hold a state at the fold's load
@@ -230,13 +235,14 @@ def _ramps(surface: Surface, table: _Table, chamber, v0, atmosphere, exponent):
     # the landing: the first rise of q through the fold's load beyond the valley
     after = (rows[:-1] > peak) & pairs
     lands = after & (q[:-1] < fold_q) & (q[1:] >= fold_q)
-    has_landing = jnp.any(lands)
+    has_landing = jnp.any(lands) & snaps_first
     row = jnp.clip(jnp.argmax(lands), 0, len(at) - 2)
     s = (fold_q - q[row]) / (q[row + 1] - q[row])
     land_x, land_size = _newton(
         lambda x: jnp.stack([condition(x), (on_surface(x)[2] - fold_q) / 0.02]),
         jnp.stack([table.apex[row] + s * (table.apex[row + 1] - table.apex[row]), t[row] + s * (t[row + 1] - t[row])]),
-        has_landing & snaps_first & single,
+        has_landing & single,
+        room,
     )
     land_ratio = jnp.sqrt(fold_q / surface.breakdown_load(land_x[0]))
     # on from there, or from the start: breakdown before another fold
@@ -254,6 +260,7 @@ def _ramps(surface: Surface, table: _Table, chamber, v0, atmosphere, exponent):
             ]
         ),
         jnp.any(later) & single,
+        room,
     )
 
     broken_landing = has_landing & (land_ratio >= 1)
@@ -263,13 +270,13 @@ def _ramps(surface: Surface, table: _Table, chamber, v0, atmosphere, exponent):
     settled &= (lost & clear) | broken_landing | (jnp.any(later) & (break_size < 1e-9) & ~again)
     near_edge = jnp.abs(land_ratio - 1) < 1e-8
     fair = reach & single & ~hidden & (unstable | (settled & ~near_edge))
-    outcome = jnp.where(broken_landing & snaps_first, int(Outcome.breakdown_in_snap), int(Outcome.breakdown_on_branch))
+    outcome = jnp.where(broken_landing, int(Outcome.breakdown_in_snap), int(Outcome.breakdown_on_branch))
     outcome = jnp.where(lost, int(Outcome.no_unbroken_landing), outcome)
     outcome = jnp.where(unstable, int(Outcome.start_unstable), outcome)
     outcome = jnp.where(fair, outcome, int(Outcome.unresolved))
     moving = fair & ~unstable
-    snap_seen, land_seen = moving & snaps_first, moving & snaps_first & has_landing
-    falls = snaps_first & (broken_landing | lost)
+    snap_seen, land_seen = moving & snaps_first, moving & has_landing
+    falls = broken_landing | lost
     break_seen = moving & ~falls
 
     def point(x, seen):

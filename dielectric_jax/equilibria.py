@@ -156,9 +156,8 @@ def polish(
     """Newton from `u` (3, lanes) onto the contour, with rows·u = targets; `rows` is (lanes, 3).
 
     A row of NaN asks for a volume: V = target. `reach` bounds the total correction in scaled unknowns: farther means not
-    converged. `refine`, one
-    for all or each lane, takes tangent and index from a finer grid at the end. Lanes that fail have ok = False and
-    never disturb the others.
+    converged. `refine`, one for all or each lane, takes tangent and index from a finer grid at the end. Lanes that fail
+    have ok = False and never disturb the others.
     """
     await_programs(membrane)
     u, rows, targets = np.array(u, float), np.asarray(rows, float), np.asarray(targets, float)

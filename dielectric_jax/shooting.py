@@ -314,7 +314,7 @@ def shoot(material: AbstractMaterial, apex_stretch, pressure, voltage_squared, *
     An equilibrium has lag = prestretch − apex_stretch. Differentiable in every argument by jvp, jacfwd, grad and their
     vmap (and once more in forward mode, so `jax.hessian` works): the rule builds the columns of the Jacobian that are
     asked for and multiplies by them, so it is linear in the tangent and transposes. `steps` is the number of steps of
-    the graded grid; `audit` estimates the error.
+    the graded grid; a state of `equilibrium` carries an error estimate, a shot none.
 
     >>> import jax
     >>> from dielectric_jax import Gent
