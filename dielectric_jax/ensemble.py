@@ -107,7 +107,7 @@ class _ById:
         return self.surface is other.surface
 
 
-def _newton(function, start, valid, room=jnp.inf):
+def _newton(function, start, valid, room: typing.Any = jnp.inf):
     """Newton for function(x) = 0 in two unknowns; returns x and the size of the last move.
 
     The size is infinite where the root lies farther than `room` in λa from the start: it is then another one.
