@@ -22,7 +22,7 @@ from dielectric_jax.loading import Contour
 
 jax.config.update("jax_enable_x64", True)
 
-TOLERANCE, ALLOWED_RATIO = 1e-9, 10.0
+TOLERANCE, ALLOWED_RATIO, TOP = 1e-9, 10.0, 0.9
 KINDS = ("voltage", "pressure", "chamber")
 CROWDS = ("even", "near t = 0.9", "flat end", "lock-up", "lock-up near t = 0.9")
 
@@ -33,8 +33,8 @@ def draw(count: int, seed: int) -> dict:
     rim = random.uniform(1, 3, count)
     limit = np.exp(random.uniform(np.log(50), np.log(1000), count))
     crowd = random.choice(len(CROWDS), count, p=[0.5, 0.15, 0.1, 0.125, 0.125])
-    t = random.uniform(-1, 0.9, count)
-    t = np.where((crowd == 1) | (crowd == 4), 0.9 - np.exp(random.uniform(np.log(1e-4), np.log(0.2), count)), t)
+    t = random.uniform(-1, TOP, count)
+    t = np.where((crowd == 1) | (crowd == 4), TOP - np.exp(random.uniform(np.log(1e-4), np.log(0.2), count)), t)
     share = random.uniform(1e-4, 1, count)
     share = np.where(crowd == 2, np.exp(random.uniform(np.log(1e-4), np.log(0.1), count)), share)
     share = np.where(crowd >= 3, random.uniform(0.93, 1, count), share)
@@ -210,7 +210,12 @@ def main() -> int:
         ratio = np.where(ok, error / estimate, np.nan)
         unsure = ok & ~(uncertain < 0.3 * estimate)
     ratio_sure = np.where(unsure, np.nan, ratio)
-    above = ok & ~(estimate <= TOLERANCE)
+    # a state drawn just below t = 0.9 may turn out to lie just above, where nothing is promised
+    limit = np.array(
+        [float(truth.largest_load(a, j)) for a, j in zip(states["apex_stretch"], states["stretch_limit"], strict=True)]
+    )
+    beyond = ok & (found["q"] > TOP * limit)
+    above = ok & ~beyond & ~(estimate <= TOLERANCE)
 
     def case(i):
         out = describe(states, i) | {"ok": bool(ok[i]), "estimate": estimate[i], "true_error": error[i]}
@@ -243,8 +248,9 @@ def main() -> int:
             "not_converged": int((~ok).sum()),
             "exceptions": len(raised),
             "ratio_above_allowed": int((ratio_sure > ALLOWED_RATIO).sum()),
+            "found_beyond_the_loads_asked_for": int(beyond.sum()),
             "estimate_above_tolerance": int(above.sum()),
-            "true_error_above_tolerance": int((ok & (error > TOLERANCE)).sum()),
+            "true_error_above_tolerance": int((ok & ~beyond & (error > TOLERANCE)).sum()),
             "truth_not_sharp_enough": int(unsure.sum()),
         },
         "share_above_tolerance": float(above.sum() / max(ok.sum(), 1)),

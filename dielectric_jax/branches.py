@@ -12,19 +12,20 @@ import jax
 import numpy as np
 
 from .chart import Scan, map_nodes, scan
-from .equilibria import SCALE
+from .equilibria import SCALE, largest_on, locking_stretch
 from .loading import Contour
 from .materials import largest_load
 from .membrane import Membrane
 from .results import Code
 from .shooting import MOST_STEPS
-from .stations import Curve, clip_to_window, exact_curve, hermite, largest_on, scaled
+from .stations import Curve, clip_to_window, exact_curve, hermite, scaled
 from .tracing import run_trace, run_traces
 
 __all__ = ["find_curves"]
 
 _NEAR, _SAME = 0.2, 0.03  # on the chart, in tenths of its extent: on one branch as the scan sees it; the same point
-
+_THIN = 3  # every third vertex of a contour is close enough to its neighbours
+_DEAR = 0.6  # load fraction near lock-up from which continuation takes most of its time
 
 _scans: collections.OrderedDict = collections.OrderedDict()
 
@@ -70,7 +71,7 @@ def find_curves(membrane: Membrane, contour: Contour, limits, *, count: int, tol
     contours = chart.contours(contour)
     box = np.array([*stretches, *loads])
     box[0] = max(box[0], float(membrane.prestretch) + 1e-8 * (box[1] - box[0]))
-    limits = np.array([*box, 0.72 * membrane.lock_up_stretch()[0]])
+    limits = np.array([*box, locking_stretch(membrane)])
 
     def inside(u):
         fraction = u[2] / float(largest_load(membrane.material, u[0]))
@@ -88,7 +89,7 @@ def find_curves(membrane: Membrane, contour: Contour, limits, *, count: int, tol
     for _ in range(3):
         seeds, headings = [], []
         for vertices in pending:
-            seed, heading = _seed(vertices)
+            seed, heading = _seed(membrane, vertices)
             seeds += [seed, seed]
             headings += [heading, -heading]
         if not seeds:
@@ -154,10 +155,18 @@ def _dense(line, tangents) -> np.ndarray:
     return np.concatenate([np.stack(parts, axis=1).reshape(-1, 3), x[-1:]]) * SCALE
 
 
-def _seed(vertices):
+def _seed(membrane, vertices):
+    """A vertex from which both directions cost a trace about the same, and the direction of the contour there.
+
+    That is the middle, or where a contour with one end near lock-up comes to the region of the costly grids.
+    """
     x = scaled(vertices)
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(x, axis=0), axis=1))])
-    i = int(np.clip(np.searchsorted(arc, arc[-1] / 2), 1, len(x) - 2))
+    middle = np.searchsorted(arc, arc[-1] / 2)
+    dear = (vertices[:, 0] > locking_stretch(membrane)) & (_on_chart(membrane, vertices)[:, 1] > 10 * _DEAR)
+    if dear[0] != dear[-1]:
+        middle = np.argmin(dear) if dear[0] else np.argmax(dear)
+    i = int(np.clip(middle, 1, len(x) - 2))
     heading = (x[i + 1] - x[i - 1]) * SCALE
     return vertices[i], heading
 
@@ -178,7 +187,7 @@ def _uncovered(membrane, vertices, shadows, top):
     here = _on_chart(membrane, vertices)
     away = np.full(len(vertices), np.inf)
     for shadow in shadows:
-        away = np.minimum(away, _distance_to_polyline(here, shadow))
+        away = np.minimum(away, np.repeat(_distance_to_polyline(here[::_THIN], shadow), _THIN)[: len(here)])
     # the last of the scanned loads is left out: a contour there may be an error of interpolation
     far = (away > _NEAR) & (here[:, 1] < 10 * (top - 0.02))
     if not far.any():
@@ -241,5 +250,5 @@ def _agrees(membrane, curve: Curve, contours, chart: Scan) -> bool:
         return True
     away = np.full(int(inside.sum()), np.inf)
     for vertices in contours:
-        away = np.minimum(away, _distance_to_polyline(here[inside], _on_chart(membrane, vertices)))
+        away = np.minimum(away, _distance_to_polyline(here[inside], _on_chart(membrane, vertices[::_THIN])))
     return bool((away < _NEAR).all())

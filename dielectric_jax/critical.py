@@ -10,6 +10,7 @@ import concurrent.futures
 import dataclasses
 
 import numpy as np
+from scipy.optimize import root_scalar
 
 from .equilibria import SCALE, Points, polish
 from .stations import Curve, between, hermite, scaled, solve_between
@@ -146,6 +147,45 @@ def _predict(curve: Curve, kind: str, interval: int, target: float):
     return chord if centred is None else root(centred)
 
 
+def _fold_share(curve: Curve, kind: str, interval: int) -> float | None:
+    """Share of the interval at which q (or p) turns, from ten neighbours; None where they do not run one way.
+
+    Their coordinates are exact and analytic in each other, while tangents carry the error of Newton's grid.
+    """
+    first = min(max(interval - 4, 0), len(curve.points) - 10)
+    if first < 0:
+        return None
+    x = scaled(curve.points.u[:, first : first + 10].T)
+    column = 2 if kind == "fold" else 1
+    along = max((c for c in range(3) if c != column), key=lambda c: abs(curve.points.tangent[interval, c]))
+    middle, half = (x[0, along] + x[-1, along]) / 2, (x[-1, along] - x[0, along]) / 2
+    s = (x[:, along] - middle) / half
+    if not (np.diff(s) > 0).all():
+        return None
+    line = [np.polynomial.Polynomial(c) for c in np.linalg.solve(np.vander(s, increasing=True), x).T]
+    slope, i = line[column].deriv(), interval - first
+    if not slope(s[i]) * slope(s[i + 1]) < 0:
+        return None
+    chord = x[i + 1] - x[i]
+    root = root_scalar(slope, bracket=(s[i], s[i + 1]), xtol=1e-13).root
+    at = np.array([f(root) for f in line])
+    return float((at - x[i]) @ chord / (chord @ chord))
+
+
+def _shifted(curve: Curve, interval: int, point: Points, move: float) -> Points:
+    """The state of one lane moved by a small share of the interval, along its tangent and its neighbours' slopes."""
+    first = min(max(interval - 1, 0), len(curve.points) - 4)
+    gap = curve.position[interval + 1] - curve.position[interval]
+    x = (curve.position[first : first + 4] - curve.position[interval]) / gap
+    weights = np.linalg.solve(np.vander(x, increasing=True).T, [0.0, 1.0, 1.0, 0.75])  # of the slope in the middle
+    chord = scaled(curve.points.u[:, interval + 1] - curve.points.u[:, interval])
+    rate = gap * gap / (point.tangent[0] @ chord)
+    moved = {"u": point.u + move * rate * (point.tangent * SCALE).T}
+    for name in ("volume", "height", "charge_per_voltage", "hoop", "field"):
+        moved[name] = getattr(point, name) + move * (getattr(curve.points, name)[first : first + 4] @ weights)
+    return dataclasses.replace(point, **moved)
+
+
 def _locate_loads(membrane, contour, curves, wanted, tolerance):
     """States at given loads by one Newton solve each; and the wanted ones it failed for."""
     if not wanted:
@@ -187,8 +227,13 @@ def _locate_roots(membrane, contour, curves, wanted, tolerance):
     low, high = np.zeros(len(wanted)), np.ones(len(wanted))
     f_low, f_high = values(ends.take(first), lanes), values(ends.take(first + 1), lanes)
     share, slope = np.array([_predict(curves[b], kind, i, target) for kind, b, i, target in wanted]).T
+    for n, (kind, branch, i, _) in enumerate(wanted):
+        better = _fold_share(curves[branch], kind, i) if "fold" in kind else None
+        share[n] = share[n] if better is None else better
     last, f_last = np.full(len(wanted), np.nan), np.full(len(wanted), np.nan)
     change = np.full(len(wanted), np.inf)
+    # a least value along the membrane has kinks: its neighbours may tell nothing
+    smooth = np.array([kind != "hoop_tension_loss" and len(curves[b].points) >= 4 for kind, b, _, _ in wanted])
     trials: list[list[Points]] = [[] for _ in wanted]
     active = lanes
     for _ in range(_ROUNDS):
@@ -218,7 +263,7 @@ def _locate_roots(membrane, contour, curves, wanted, tolerance):
         change[active] = np.abs(new - at)
         for k, n in enumerate(active):
             trials[n] = [*trials[n][-1:], found.take(np.array([k]))]
-        done = change[active] < np.where(np.isfinite(last[active]), _CLOSE, _EXACT)
+        done = change[active] < np.where(np.isfinite(last[active]) | smooth[active], _CLOSE, _EXACT)
         for k in np.flatnonzero(done):
             n = active[k]
             if len(trials[n]) > 1 and change[n] > _EXACT:
@@ -226,6 +271,11 @@ def _locate_roots(membrane, contour, curves, wanted, tolerance):
                 trials[n][-1] = _line(before, latest, (new[k] - last[n]) / (at[k] - last[n]))
                 share[n] = new[k]
                 change[n] *= abs(at[k] - last[n]) + change[n]
+            elif change[n] > _EXACT:
+                _, branch, i, _ = wanted[n]
+                trials[n][-1] = _shifted(curves[branch], i, trials[n][-1], new[k] - at[k])
+                share[n] = new[k]
+                change[n] *= 1e-2  # slopes are right to a few digits
         last[active], f_last[active] = at, f
         active, new = active[~done], new[~done]
         if not len(active):

@@ -18,7 +18,7 @@ from .membrane import Membrane
 from .programs import await_programs, careful_program, jacobian_program, run_chunks, value_program
 from .scene import SCANNED_LOAD
 
-__all__ = ["Points", "polish"]
+__all__ = ["Points", "largest_on", "load_fraction", "locking_stretch", "polish"]
 
 SCALE = np.array([1.0, 0.2, 0.02])  # of (λa, p, q)
 # steps: of Newton, then of the residual; where an inner layer forms (a high load near lock-up, or near the cone) Newton
@@ -127,9 +127,14 @@ def _index(zeros, jacobian, columns, volume, contour):
     return np.where(gain < 0, zeros - 1, zeros)
 
 
+def locking_stretch(membrane: Membrane) -> float:
+    """λa beyond which an inner layer forms at a high load."""
+    return 0.72 * membrane.lock_up_stretch()[0]
+
+
 def difficulty(membrane: Membrane, apex_stretch: np.ndarray, load_fraction: np.ndarray) -> np.ndarray:
     """Which ladder of grids resolves the membrane, an index of `LADDERS` for each lane."""
-    locking = apex_stretch > 0.72 * membrane.lock_up_stretch()[0]
+    locking = apex_stretch > locking_stretch(membrane)
     return (
         (locking & (load_fraction > 0.7)).astype(int)
         + (locking & (load_fraction > 0.86))
@@ -139,7 +144,14 @@ def difficulty(membrane: Membrane, apex_stretch: np.ndarray, load_fraction: np.n
 
 def load_fraction(membrane: Membrane, u: np.ndarray) -> np.ndarray:
     """t = q/q_max(λa) of points (3, lanes)."""
-    return u[2] / run_chunks(lambda part: [largest_load(membrane.material, part[0])], u)[0]
+    return u[2] / largest_on(membrane.material, np.nan_to_num(u[0], nan=2.0))
+
+
+def largest_on(material, apex: np.ndarray) -> np.ndarray:
+    """q_max(λa) of any number of points through one compiled shape."""
+    padded = np.pad(apex, (0, -len(apex) % 512), mode="edge")
+    parts = [np.asarray(largest_load(material, padded[i : i + 512])) for i in range(0, len(padded), 512)]
+    return np.concatenate(parts)[: len(apex)]
 
 
 def polish(

@@ -6,6 +6,7 @@ import typing
 import jax
 import numpy as np
 from scipy.interpolate import make_interp_spline
+from scipy.optimize import root_scalar
 
 from .branches import cached_scan
 from .chart import map_nodes, stretch_shares
@@ -111,9 +112,7 @@ def _filled_state(membrane: Membrane, quantity: str, wanted: float, tolerance: f
     value = np.log((pressure if quantity == "pressure" else volume) / wanted)
     crossing = np.flatnonzero(value[:-1] * value[1:] <= 0)
     if len(crossing):
-        i = int(crossing[0])
-        s = value[i] / (value[i] - value[i + 1])
-        guess = [[apex[i] + s * (apex[i + 1] - apex[i])], [pressure[i] + s * (pressure[i + 1] - pressure[i])], [0.0]]
+        guess = _crossing_state(apex, pressure, value, float(membrane.prestretch), int(crossing[0]))
         row = [[np.nan] * 3] if quantity == "volume" else [[0.0, 1.0, 0.0]]
         contour = ConstantVoltage(0.0).contour()
         found = polish(membrane, contour, np.array(guess), np.array(row), np.array([wanted]), tolerance=tolerance / 100)
@@ -123,6 +122,19 @@ def _filled_state(membrane: Membrane, quantity: str, wanted: float, tolerance: f
         return equilibrium(membrane, voltage=0.0, tolerance=tolerance, **{quantity: wanted})  # pyright: ignore[reportArgumentType]
     except (SceneError, ValueError):
         return None
+
+
+def _crossing_state(apex, pressure, value, prestretch: float, i: int) -> list:
+    """λa, p, q = 0 where `value` vanishes between nodes i and i + 1, by quintics through six nodes."""
+    first = min(max(i - 2, 0), len(value) - 6)
+    near = slice(first, first + 6)
+    logs = np.stack([value[near], np.log(apex[near] - prestretch), np.log(pressure[near])])
+    if not np.isfinite(logs).all():
+        return [[apex[i]], [pressure[i]], [0.0]]
+    along = make_interp_spline(np.arange(6.0), logs, k=5, axis=1)
+    place = root_scalar(lambda x: along(x)[0], bracket=(i - first, i - first + 1)).root
+    _, stretch, log_p = along(place)
+    return [[prestretch + math.exp(stretch)], [math.exp(log_p)], [0.0]]
 
 
 def _reach(membrane: Membrane, quantity: str) -> float:

@@ -5,15 +5,15 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .equilibria import SCALE, Points, polish
-from .materials import largest_load
+from .equilibria import SCALE, Points, largest_on, load_fraction, locking_stretch, polish
 from .results import Code
 from .scene import SCANNED_LOAD
 
-__all__ = ["Curve", "between", "clip_to_window", "exact_curve", "hermite", "largest_on", "scaled", "solve_between"]
+__all__ = ["Curve", "between", "clip_to_window", "exact_curve", "hermite", "scaled", "solve_between"]
 
 _MOST_TURN = 0.3
 _CONE_WEIGHT = 0.7
+_THIN = 0.7  # load fraction from which an inner layer forms near lock-up
 _MOST_APPROACH = 0.15  # change of log(1 − t) between neighbours; folds near the cone are about 1.2 apart
 _LOST = SCANNED_LOAD - 0.01  # a branch that ends below this load, inside its window, is looked for once more
 
@@ -46,13 +46,6 @@ def _cone_measure(membrane, line) -> np.ndarray:
     return -_CONE_WEIGHT * np.log(np.maximum(1 - fraction, 1e-6))
 
 
-def largest_on(material, apex) -> np.ndarray:
-    """q_max(λa) of any number of points through one compiled shape."""
-    padded = np.pad(apex, (0, -len(apex) % 512), mode="edge")
-    parts = [np.asarray(largest_load(material, padded[i : i + 512])) for i in range(0, len(padded), 512)]
-    return np.concatenate(parts)[: len(apex)]
-
-
 def _resample(membrane, line, tangents, count):
     """`count` stations on the traced points: predictions (count, 3) and plane normals, scaled.
 
@@ -69,7 +62,11 @@ def _resample(membrane, line, tangents, count):
             _cone_measure(membrane, line),
         ]
     )
-    measure = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(seen), axis=0))])
+    fraction = q * SCALE[2] / largest_on(membrane.material, line[:, 0])
+    # and where an inner layer makes each of them dear
+    dear = (line[1:, 0] > locking_stretch(membrane)) & (fraction[1:] > _THIN)
+    length = np.linalg.norm(np.diff(seen), axis=0) * np.where(dear, 0.5, 1.0)
+    measure = np.concatenate([[0.0], np.cumsum(length)])
     s = np.linspace(0.0, measure[-1], count)
     i = np.clip(np.searchsorted(measure, s, side="right") - 1, 0, len(gap) - 1)
     share = ((s - measure[i]) / (measure[i + 1] - measure[i]))[:, None]
@@ -107,12 +104,8 @@ def _stations(membrane, contour, line, tangents, count, tolerance, chart) -> tup
     points = polish(membrane, contour, (at * SCALE).T, normal / SCALE, target, tolerance=tolerance, reach=0.5)
     points.tangent = points.tangent * np.where((points.tangent * normal).sum(axis=1) < 0, -1.0, 1.0)[:, None]
     # within the scanned loads rounding at the flat end may exceed the tolerance: such points stay, with a flag
-    fair = (points.error <= tolerance) | ((_fraction(membrane, points) <= SCANNED_LOAD) & (points.error < 1e-6))
+    fair = (points.error <= tolerance) | ((load_fraction(membrane, points.u) <= SCANNED_LOAD) & (points.error < 1e-6))
     return points, points.ok & fair
-
-
-def _fraction(membrane, points: Points) -> np.ndarray:
-    return points.u[2] / largest_on(membrane.material, np.nan_to_num(points.u[0], nan=2.0))
 
 
 def exact_curve(
@@ -129,6 +122,8 @@ def exact_curve(
     kept = np.flatnonzero(good)
     ends_lost = kept[0] > 0, kept[-1] < len(points) - 1
     points, gaps = points.take(kept), np.flatnonzero(np.diff(kept) > 1)
+    # beyond the scanned loads a lost station is missed only where the refinement below wants it
+    gaps = gaps[load_fraction(membrane, points.u)[gaps] < SCANNED_LOAD]
     flags = []
     if len(gaps):  # lanes that Newton lost between good ones: once more, from better starts
         before = len(points)
@@ -140,7 +135,7 @@ def exact_curve(
         if not lost:
             continue
         points, code = _extend(membrane, contour, points, end, max(count // 4, 32), tolerance, chart, retrace)
-        fraction = _fraction(membrane, points.take(np.array([-end])))[0]
+        fraction = load_fraction(membrane, points.take(np.array([-end])).u)[0]
         # beyond the scanned loads a branch is followed only as far as its error estimate allows
         codes[end] = code or (Code.apex_cone if fraction > 0.5 else Code.beyond_tolerance)
         whole &= code is not None or bool(fraction >= _LOST)
@@ -179,7 +174,7 @@ def _extend(membrane, contour, points, end, count, tolerance, chart, retrace) ->
     if end == 0:
         found, code = _extend(membrane, contour, _reversed(points), 1, count, tolerance, chart, retrace)
         return _reversed(found), code
-    if not _fraction(membrane, points.take(np.array([-1])))[0] < _LOST:
+    if not load_fraction(membrane, points.take(np.array([-1])).u)[0] < _LOST:
         return points, None
     line, tangents, code = retrace(points.u[:, -1], points.tangent[-1] * SCALE)
     if len(line) < 3:
