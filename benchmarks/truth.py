@@ -129,3 +129,19 @@ def exact_scipy(apex, pressure, q, limit, rim):
     first, _, y = _start(apex, pressure, q, limit)
     end = solve_ivp(_rates, (first, 1.0), y, method="DOP853", rtol=1e-13, atol=1e-17, args=args).y[:, -1]
     return _correct(end, _rates(1.0, end, *args), pressure, rim - apex)[:2]
+
+
+def map_scipy(apex, q, limit, rim):
+    """True p, V of the one state at (λa, q) by SciPy: with p = 1 integrated to the radius where λ2 = λ0, then scaled."""
+    first, _, y = _start(apex, 1.0, q, limit)
+
+    def at_rim(radius, y, *args):
+        return apex + y[1] - rim
+
+    at_rim.terminal = True
+    args = (apex, 1.0, q, limit)
+    found = solve_ivp(_rates, (first, 50.0), y, method="DOP853", rtol=1e-12, atol=1e-15, args=args, events=at_rim)
+    if not len(found.t_events[0]):
+        return np.nan, np.nan
+    radius = found.t_events[0][0]
+    return radius, found.y_events[0][0][3] / radius**3

@@ -104,9 +104,11 @@ def trace(
     """Follows the curve through `start` on the side of `direction` until a margin turns negative or it closes.
 
     `margins(u, args)` returns one number for each of `codes`, positive inside the box; both sides of every variable
-    belong in it. `linearise(u, args)` gives value and Jacobian where a cheaper way than jacfwd of `residual` is known. `monitors(u, args)` returns quantities that may change by at most
-    `most_change` a step, such as the logarithm of the distance to a point at which folds accumulate. `start` need only be near the curve. `active=False` ends the lane at once (padding). Under `jax.vmap`
-    every lane has its own step.
+    belong in it. `linearise(u, args)` gives value and Jacobian where a cheaper way than jacfwd of `residual` is known.
+    `monitors(u, args)` returns quantities that may change by at most
+    `most_change` a step, such as the logarithm of the distance to a point at which folds accumulate. `start` need only be
+    within the largest step of the curve: a lane that meets it farther away ends at once. `active=False` ends the lane at
+    once too (padding). Under `jax.vmap` every lane has its own step.
 
     >>> import jax.numpy as jnp
     >>> circle = lambda u, args: jnp.array([u @ u - 1.0])
@@ -178,14 +180,15 @@ def trace(
         offset = jnp.linalg.norm(corrected - anchor)
         change = jnp.max(jnp.abs(watch(corrected) - s["watched"]))
         change = jnp.where(jnp.isfinite(change), change, jnp.inf)
-        straight = first | (
+        straight = (
             (change <= steps.most_change) & (turn <= steps.most_turn) & (offset <= steps.most_correction * s["step"])
         )
+        straight = jnp.where(first, offset <= steps.largest, straight)
         finite = jnp.all(jnp.isfinite(corrected)) & jnp.all(jnp.isfinite(tangent))
         accept = finite & settled & straight
         failing = ~finite | (settled & ~straight) | (size > 0.5 * s["last"]) | (s["tries"] >= 6)
         # the first point is only corrected: it has no step to shorten
-        failing = jnp.where(first, ~finite | (s["tries"] >= 20), failing & ~accept)
+        failing = jnp.where(first, ~finite | (settled & ~straight) | (s["tries"] >= 20), failing & ~accept)
 
         inside = jnp.where(jnp.isfinite(corrected), corrected, 0.0) * scale
         margin = margins(inside, args)

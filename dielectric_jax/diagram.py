@@ -9,7 +9,7 @@ import numpy as np
 
 from .branches import find_curves
 from .critical import Located, brackets, fold_events, locate, special_points
-from .loading import Chamber, ConstantVoltage, Contour
+from .loading import Chamber, ConstantPressure, ConstantVoltage, Contour
 from .materials import largest_load
 from .membrane import Membrane
 from .plotting import plot_diagram
@@ -17,7 +17,7 @@ from .ramp import build_ramp, build_way_back, flat_ramp
 from .records import Branch, Ramp, SpecialPoint, State, plain
 from .results import Code, SceneError
 from .scene import SCANNED_LOAD, Scene, Window, describe
-from .states import check_concrete, check_request, flat_state, states_of
+from .states import check_concrete, check_request, flat_state, states_of, too_flat
 from .states import filling as filling_of
 from .stations import Curve
 from .tracing import warm_up
@@ -270,7 +270,8 @@ def voltage_volume(scene: Scene, *, points: int = 256, tolerance: float = 1e-9) 
     kinds = ("fold", "zero_voltage", "breakdown", "hoop_tension_loss")
     solved, complete = _solve(scene.membrane, contour, limits, kinds, points, tolerance)
     if not solved.curves:
-        raise SceneError(Code.no_equilibrium)
+        flat = isinstance(loading, ConstantPressure) and too_flat(scene.membrane, "pressure", float(loading.pressure))
+        raise SceneError(Code.near_flat if flat else Code.no_equilibrium)
     special = [_special(p, tolerance) for p in solved.located]
     volume = filling[1] if isinstance(loading, Chamber) else None
     up, down = build_ramp(solved, volume)

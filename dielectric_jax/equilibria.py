@@ -29,6 +29,7 @@ _CONTRACTION = (2e-4, 3e-3, 1e-3)  # of a chord step: the error of Newton's Jaco
 _TRIES = (9, 6, 9)  # of Newton
 _MOST_MOVE = 3e-9  # relative: height and charge are not moved along with the state
 ADAPTIVE = (10.0, 12.0, 13.0)  # exponents of the tolerance of the careful path
+_HOPELESS = 1e-3  # estimates of the finest grid beyond which the careful path is not tried
 SAFETY = 16.0
 LEAST_ESTIMATE = 1e-13
 _ROUNDING = 5e-15  # relative to λa − λ0, p and V; measured
@@ -315,7 +316,7 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, level, refine
         active = active[~(estimate[active] <= tolerance)]
     if level and len(active):
         # within the scanned loads only: beyond them a branch ends where the estimate does
-        active = active[(load_fraction(membrane, u[:, active]) <= SCANNED_LOAD) & (estimate[active] < 1e-6)]
+        active = active[(load_fraction(membrane, u[:, active]) <= SCANNED_LOAD) & (estimate[active] < _HOPELESS)]
         for exponent in ADAPTIVE:
             if not len(active):
                 break

@@ -26,6 +26,7 @@ class Code(enum.IntEnum):
     flat_unstretched = 10
     no_fold = 11
     beyond_tolerance = 12
+    near_flat = 13
 
     @property
     def sentence(self) -> str:
@@ -52,6 +53,10 @@ _SENTENCES = {
         "or a prestretch above 1."
     ),
     Code.no_fold: "The ramp up has no fold of a stable branch in the window, so there is no snap.",
+    Code.near_flat: (
+        "The pressure or volume is so small that double precision does not tell the membrane from a flat one; "
+        "ask for a larger one, or for 0, the flat membrane."
+    ),
     Code.beyond_tolerance: "The error estimate exceeds the tolerance; ask for a looser tolerance.",
 }
 

@@ -90,6 +90,8 @@ def filling(scene: Scene, tolerance: float) -> tuple[float | None, float | None]
     wanted = float(getattr(loading, name))
     state = _filled_state(membrane, name.removeprefix("initial_"), wanted, tolerance)
     if state is None:
+        if too_flat(membrane, name.removeprefix("initial_"), wanted):
+            raise SceneError(Code.near_flat)
         most = _reach(membrane, name.removeprefix("initial_"))
         raise ValueError(
             f"`{name}` must lie between 0 and {most:.6g}, what the membrane reaches at zero voltage up to its lock-up, "
@@ -122,6 +124,12 @@ def _filled_state(membrane: Membrane, quantity: str, wanted: float, tolerance: f
         return equilibrium(membrane, voltage=0.0, tolerance=tolerance, **{quantity: wanted})  # pyright: ignore[reportArgumentType]
     except (SceneError, ValueError):
         return None
+
+
+def too_flat(membrane: Membrane, quantity: str, wanted: float) -> bool:
+    """Whether a pressure or volume belongs to a membrane nearer to flat than the first of the scan's stretches."""
+    _, pressure, volume = _zero_load_line(membrane)
+    return wanted < (pressure if quantity == "pressure" else volume)[0]
 
 
 def _crossing_state(apex, pressure, value, prestretch: float, i: int) -> list:
@@ -202,7 +210,8 @@ def equilibrium(
             raise ValueError(
                 f"`volume` must lie between 0 and {most:.6g}, what the membrane reaches up to its lock-up, but is {wanted!r}."
             )
-        raise SceneError(Code.no_equilibrium)
+        flat = name != "apex_stretch" and too_flat(membrane, name, wanted)
+        raise SceneError(Code.near_flat if flat else Code.no_equilibrium)
     states.sort(key=lambda s: s.volume)
     return states if all else states[0]
 

@@ -15,6 +15,7 @@ _MOST_TURN = 0.3
 _CONE_WEIGHT = 0.7
 _THIN = 0.7  # load fraction from which an inner layer forms near lock-up
 _MOST_APPROACH = 0.15  # change of log(1 − t) between neighbours; folds near the cone are about 1.2 apart
+_WIDEST_HOLE = 4  # stations lost in a row
 _LOST = SCANNED_LOAD - 0.01  # a branch that ends below this load, inside its window, is looked for once more
 
 
@@ -124,13 +125,14 @@ def exact_curve(
     points, gaps = points.take(kept), np.flatnonzero(np.diff(kept) > 1)
     # beyond the scanned loads a lost station is missed only where the refinement below wants it
     gaps = gaps[load_fraction(membrane, points.u)[gaps] < SCANNED_LOAD]
+    hole = (np.diff(kept)[gaps] > _WIDEST_HOLE).any()
     flags = []
     if len(gaps):  # lanes that Newton lost between good ones: once more, from better starts
         before = len(points)
         points = _insert(membrane, contour, points, gaps, tolerance)
         if len(points) < before + len(gaps):
             flags.append("points_lost")
-    codes, whole = list(codes), True
+    codes, whole = list(codes), not hole
     for end, lost in enumerate(ends_lost):
         if not lost:
             continue

@@ -4,6 +4,7 @@ import json
 import math
 import pathlib
 
+import numpy as np
 import pytest
 
 import dielectric_jax as dj
@@ -88,6 +89,29 @@ def test_flat_films():
     with pytest.raises(dj.SceneError) as error:
         dj.equilibrium(dj.Membrane(prestretch=2.0), voltage=1.000001 * slack, volume=0.0)
     assert error.value.code is dj.Code.no_equilibrium
+
+
+@pytest.mark.parametrize("prestretch", [1.5, 2.7])
+def test_small_pressures_give_the_linear_membrane_or_say_that_it_is_nearly_flat(prestretch):
+    # a drum of tension s per reference length: V = π λ0⁵ p/(8 s)
+    tension = float(dj.stresses(dj.Gent(), prestretch, prestretch, 0.0)[0])
+    codes = []
+    for pressure in 10.0 ** -np.arange(2.0, 12.0):
+        linear = math.pi * prestretch**5 * pressure / (8 * tension)
+        for given, loading in (
+            ({"pressure": pressure}, dj.ConstantPressure(pressure)),
+            ({"volume": linear}, dj.Chamber(volume=1600.0, initial_volume=linear)),
+        ):
+            try:
+                state = dj.equilibrium(dj.Membrane(prestretch=prestretch), **given)
+                assert state.volume / state.pressure == pytest.approx(linear / pressure, rel=max(1e-6, pressure**2))
+                codes.append(dj.Code.ok)
+            except dj.SceneError as error:
+                codes.append(error.code)
+                with pytest.raises(dj.SceneError) as same:
+                    dj.voltage_volume(dj.Scene(dj.Membrane(prestretch=prestretch), loading))
+                assert same.value.code is dj.Code.near_flat
+    assert set(codes) <= {dj.Code.ok, dj.Code.near_flat} and codes[:6] == [dj.Code.ok] * 6
 
 
 @pytest.mark.parametrize(
