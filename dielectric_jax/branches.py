@@ -12,6 +12,7 @@ import jax
 import numpy as np
 
 from .chart import Scan, map_nodes, scan
+from .contours import OnSurface, surface_branches
 from .equilibria import SCALE, largest_on, locking_stretch
 from .loading import Contour
 from .materials import largest_load
@@ -24,6 +25,7 @@ from .tracing import run_trace, run_traces
 __all__ = ["find_curves"]
 
 _NEAR, _SAME = 0.2, 0.03  # on the chart, in tenths of its extent: on one branch as the scan sees it; the same point
+_LARGEST = (1.0, 0.2, 0.05)  # steps of the rounds in which branches are looked for
 _THIN = 3  # every third vertex of a contour is close enough to its neighbours
 _DEAR = 0.6  # load fraction near lock-up from which continuation takes most of its time
 
@@ -61,14 +63,13 @@ def _distance_to_polyline(points: np.ndarray, line: np.ndarray) -> np.ndarray:
     return best
 
 
-def find_curves(membrane: Membrane, contour: Contour, limits, *, count: int, tolerance: float):
-    """All branches of the contour in the window, and whether scan and continuation agree on the scanned part.
+def find_curves(solver, limits, *, count: int, tolerance: float, extend: bool = True):
+    """All branches of a solver's loading in the window, and whether scan and engine agree on the scanned part.
 
-    `limits` is `Scene.limits()`.
+    `limits` is `Scene.limits()`. Without `extend` an engine on a surface draws what its domain holds, and no more.
     """
+    membrane, contour = solver.membrane, solver.contour
     stretches, locks, loads = limits
-    chart = cached_scan(membrane, stretches, loads)
-    contours = chart.contours(contour)
     box = np.array([*stretches, *loads])
     box[0] = max(box[0], float(membrane.prestretch) + 1e-8 * (box[1] - box[0]))
     limits = np.array([*box, locking_stretch(membrane)])
@@ -77,16 +78,47 @@ def find_curves(membrane: Membrane, contour: Contour, limits, *, count: int, tol
         fraction = u[2] / float(largest_load(membrane.material, u[0]))
         return min(u[0] - box[0], box[1] - u[0], fraction - box[2], box[3] - fraction)
 
+    def follow(u, direction, **options):
+        return run_trace(membrane, contour, limits, u, direction, **options)
+
     def retrace(u, direction):
-        line, tangents, code = run_trace(membrane, contour, limits, u, direction, finest=True)
+        line, tangents, code = follow(u, direction, level=-1)
         line, tangents = scaled(line), np.array(tangents)
         if len(line) > 1:
             clip_to_window(line, tangents, inside, -1)
         return line, tangents, _name_end(code, locks, membrane, line[-1] * SCALE) if len(line) else code
 
-    lines, shadows = [], []
+    lines = surface_branches(solver, box, follow if extend else None) if isinstance(solver, OnSurface) else []
+    chart = cached_scan(membrane, stretches, loads)
+    contours = chart.contours(contour)
+    more, complete = _traced(membrane, contour, limits, contours, lines, chart, len(_LARGEST) if extend else 0)
+    curves = []
+    for line, tangents, codes in lines + more:
+        x = scaled(line)
+        for end in (0, -1):
+            clip_to_window(x, tangents, inside, end)
+        codes = [_name_end(c, locks, membrane, x[end] * SCALE) for c, end in zip(codes, (0, -1), strict=True)]
+        curve, whole = exact_curve(solver, x, tangents, codes, count, tolerance, chart, retrace)
+        complete &= whole
+        if curve is None:
+            continue
+        complete &= _agrees(membrane, curve, contours, chart)
+        curves.append(curve)
+    curves = _distinct(membrane, curves)
+    curves.sort(key=lambda c: c.points.volume.min())
+    return curves, bool(complete)
+
+
+def _traced(membrane, contour, limits, contours, known: list, chart: Scan, rounds: int):
+    """The branches that the scan shows and the `known` lines do not cover, by continuation; and whether none is left."""
+    lines: list = []
+    shadows = [_on_chart(membrane, _dense(line, tangents)) for line, tangents, _ in known]
+    top = chart.load_fraction[-1]
     pending = [c for c in contours if _long_enough(membrane, c)]
-    for _ in range(3):
+    if known:
+        pending = [part for c in pending if (part := _uncovered(membrane, c, shadows, top)) is not None]
+    # a coarse grid or a long step may join branches that nearly meet: what is still uncovered is tried on finer ones
+    for level, largest in tuple(enumerate(_LARGEST))[:rounds]:
         seeds, headings = [], []
         for vertices in pending:
             seed, heading = _seed(membrane, vertices)
@@ -94,7 +126,7 @@ def find_curves(membrane: Membrane, contour: Contour, limits, *, count: int, tol
             headings += [heading, -heading]
         if not seeds:
             break
-        traced = run_traces(membrane, contour, limits, seeds, headings)
+        traced = run_traces(membrane, contour, limits, seeds, headings, level=level, largest=largest)
         for k in range(0, len(traced), 2):
             joined = _join(traced[k], traced[k + 1])
             if joined is None:
@@ -106,30 +138,15 @@ def find_curves(membrane: Membrane, contour: Contour, limits, *, count: int, tol
                 continue
             lines.append((line, tangents, codes))
             shadows.append(shadow)
-        left = [_uncovered(membrane, c, shadows, chart.load_fraction[-1]) for c in pending]
+        left = [_uncovered(membrane, c, shadows, top) for c in pending]
         pending = []
         for vertices in (_confirmed(membrane, contour, c) for c in left if c is not None):
-            again = _uncovered(membrane, vertices, shadows, chart.load_fraction[-1]) if len(vertices) > 2 else None
+            again = _uncovered(membrane, vertices, shadows, top) if len(vertices) > 2 else None
             if again is not None:
                 pending.append(again)
         if not pending:
             break
-    complete = not pending
-    curves = []
-    for line, tangents, codes in lines:
-        x = scaled(line)
-        for end in (0, -1):
-            clip_to_window(x, tangents, inside, end)
-        codes = [_name_end(c, locks, membrane, x[end] * SCALE) for c, end in zip(codes, (0, -1), strict=True)]
-        curve, whole = exact_curve(membrane, contour, x, tangents, codes, count, tolerance, chart, retrace)
-        complete &= whole
-        if curve is None:
-            continue
-        complete &= _agrees(membrane, curve, contours, chart)
-        curves.append(curve)
-    curves = _distinct(membrane, curves)
-    curves.sort(key=lambda c: c.points.volume.min())
-    return curves, bool(complete)
+    return lines, not pending
 
 
 def _name_end(code: Code, locks: bool, membrane: Membrane, u: np.ndarray) -> Code:

@@ -19,6 +19,7 @@ from scipy.interpolate import make_interp_spline
 from .loading import Contour
 from .materials import AbstractMaterial, largest_load, stresses
 from .membrane import Membrane, apex_series, slopes
+from .programs import threads
 from .results import Code
 from .scene import SCANNED_LOAD
 from .shooting import MOST_STEPS, graded_map, integrate
@@ -26,7 +27,13 @@ from .shooting import MOST_STEPS, graded_map, integrate
 __all__ = ["Scan", "explicit_map", "scan"]
 
 _START = 1e-3
-_NODES = (110, (16, 12, 16))  # of the scan: along the stretch; along the load on the panels between `_PANELS`
+_NODES = (
+    110,
+    (16, 12, 16),
+    150,
+)  # of the scan: along the stretch; along the load on the panels between `_PANELS`; along
+# the stretch on the last of them
+_CLIFF = (6.0, 0.006)  # weight and width, as a share of the stretch, of the nodes' crowding about the cliff
 _PANELS = (0.45, 0.75)
 _REFINEMENT = 4
 
@@ -135,15 +142,18 @@ def _map_chunk(material, apex_stretch, load, prestretch, steps):
 
 
 def map_nodes(material, apex_stretch, load, prestretch, steps):
-    """The explicit map at (λa, t), chunk by chunk through one compiled program."""
+    """The explicit map at (λa, t), chunk by chunk through one compiled program, on all cores."""
     count = len(apex_stretch)
     padding = -count % _CHUNK
     apex, t = (np.pad(v, (0, padding), mode="edge") for v in (apex_stretch, load))
-    parts = [
-        _map_chunk(material, apex[i : i + _CHUNK], t[i : i + _CHUNK], prestretch, steps)
-        for i in range(0, count + padding, _CHUNK)
-    ]
-    return [np.concatenate([np.asarray(part[k]) for part in parts])[:count] for k in range(3)]
+
+    def work(i):
+        chunk = slice(i, i + _CHUNK)
+        return [np.asarray(v) for v in _map_chunk(material, apex[chunk], t[chunk], prestretch, steps)]
+
+    begins = range(0, count + padding, _CHUNK)
+    parts = [work(0), *threads().map(work, begins[1:])]  # the first alone: it compiles
+    return [np.concatenate(values)[:count] for values in zip(*parts, strict=True)]
 
 
 def _panel_matrix(panels, nodes, refinement: int):
@@ -166,17 +176,32 @@ def _panel_matrix(panels, nodes, refinement: int):
     return np.concatenate(x), np.concatenate(fine), scipy.linalg.block_diag(*rows)
 
 
-def stretch_shares(first: float, count: int) -> np.ndarray:
-    """Shares y of the stretch span, from `first` to 1: geometric at the flat end, even, finer again at lock-up."""
-    lock = 0.02
+def _density(y, cliff=None):
+    """A rising function of the share y of the stretch span, equal steps of which make good nodes.
 
-    def density(y):
-        return 0.6 * np.log(y) + 12 * y + 40 * np.maximum(y - 0.6, 0) ** 2 - np.log(1 + lock - y)
+    Geometric at the flat end, even, finer again at lock-up, and finer by far about a `cliff`.
+    """
+    value = 0.6 * np.log(y) + 12 * y + 40 * np.maximum(y - 0.6, 0) ** 2 - np.log(1.02 - y)
+    return value if cliff is None else value + _CLIFF[0] * np.arctan((y - cliff) / _CLIFF[1])
 
+
+def _places(y, first: float, cliff=None):
+    """The place in [0, 1] of shares y among the nodes from `first` to 1."""
+    low, high = _density(first, cliff), _density(1.0, cliff)
+    return (_density(y, cliff) - low) / (high - low)
+
+
+def _shares(places, first: float, cliff=None) -> np.ndarray:
+    """The shares at places in [0, 1]."""
     y = np.linspace(max(first, 1e-2), 1.0, 4000)
     if first < 1e-2:
         y = np.concatenate([np.geomspace(first, 1e-2, 400)[:-1], y])
-    share = np.interp(np.linspace(density(first), density(1.0), count), density(y), y)
+    return np.interp(places, _places(y, first, cliff), y)
+
+
+def stretch_shares(first: float, count: int) -> np.ndarray:
+    """Shares y of the stretch span, from `first` to 1: geometric at the flat end, even, finer again at lock-up."""
+    share = _shares(np.linspace(0.0, 1.0, count), first)
     share[[0, -1]] = first, 1.0
     return share
 
@@ -186,20 +211,66 @@ def _valid(pressure, volume, slope) -> np.ndarray:
     return finite & (np.nan_to_num(pressure) > 0) & (np.nan_to_num(volume) > 0)
 
 
+def _mapped(membrane: Membrane, apex, t) -> tuple[np.ndarray, np.ndarray]:
+    """log p/(1 − t) and log V of the explicit map at points of one shape, and where it is valid."""
+    material, rim = membrane.material, float(membrane.prestretch)
+    span = membrane.lock_up_stretch()[0] - rim
+    shape, apex, t = apex.shape, apex.ravel(), t.ravel()
+    values = map_nodes(material, apex, t, rim, 28.0)
+    # towards lock-up at a high load the equations are stiffer, and an inner layer forms; elsewhere 28 steps leave 1e-6
+    stiff = (t > 0.4) & (apex - rim > 0.5 * span)
+    layer = (t > 0.8) & (apex - rim > 0.7 * span)
+    for which, steps in ((stiff & ~layer, 128.0), (layer, float(MOST_STEPS)), (None, float(MOST_STEPS))):
+        which = ~_valid(*values) if which is None else which
+        if which.any():
+            for old, new in zip(values, map_nodes(material, apex[which], t[which], rim, steps), strict=True):
+                old[which] = new
+    with np.errstate(invalid="ignore", divide="ignore"):
+        fields = np.stack([np.log(values[0] / (1 - t)), np.log(values[1])])
+    return fields.reshape(2, *shape), _valid(*values).reshape(shape)
+
+
+def _columns(places, fields, valid, fine) -> np.ndarray:
+    """Quintic splines through columns of nodes (2, rows, columns) at places (rows, columns), on `fine` places.
+
+    A node that no step count resolves is left to its neighbours, and what lies between them to nobody.
+    """
+    out = np.full((2, len(fine), fields.shape[2]), np.nan)
+    for j, good in enumerate(valid.T):
+        if good.sum() >= 6:
+            out[:, :, j] = make_interp_spline(places[good, j], fields[:, good, j], k=5, axis=1)(fine)
+            for i in np.flatnonzero(~good):
+                beside = places[max(i - 1, 0), j], places[min(i + 1, len(good) - 1), j]
+                out[:, (fine >= beside[0]) & (fine <= beside[1]), j] = np.nan
+    return out
+
+
+def _find_cliff(membrane: Membrane, high: float, low_t: float, high_t: float) -> np.polynomial.Polynomial:
+    """The share of the stretch at which p falls steepest, as a polynomial of t.
+
+    Towards lock-up at a high load p falls by half within a hundredth of the stretch.
+    """
+    rim = float(membrane.prestretch)
+    share, t = np.linspace(0.5, 0.98, 80), np.linspace(low_t, high_t, 8)
+    apex, loads = (v.ravel() for v in np.meshgrid(rim + (high - rim) * share, t, indexing="ij"))
+    pressure = map_nodes(membrane.material, apex, loads, rim, 96.0)[0].reshape(len(share), len(t))
+    with np.errstate(all="ignore"):
+        fall = np.nan_to_num(np.diff(np.log(pressure), axis=0), nan=0.0, posinf=0.0)
+    steepest = np.argmin(fall, axis=0)
+    return np.polynomial.Polynomial.fit(t, (share[steepest] + share[steepest + 1]) / 2, 3)
+
+
 def scan(membrane: Membrane, stretches, loads, refinement: int = _REFINEMENT) -> Scan:
     """Samples the chart over stretches × loads (pairs of limits) and interpolates it on a fine grid.
 
     Nodes crowd towards the flat end, where p and V behave like powers of √(λa − λ0); logarithms of p/(1 − t) and V are
-    interpolated, by quintic splines along the stretch and Chebyshev polynomials along the load.
+    interpolated, by quintic splines along the stretch and Chebyshev polynomials along the load. On the last panel of loads
+    nodes crowd about the cliff of p towards lock-up and move with it.
     """
     low, high = stretches
     prestretch = float(membrane.prestretch)
     span = high - prestretch
     first = max((low - prestretch) / span, 1e-8)
-    count = refinement * (_NODES[0] - 1) + 1
-    fine_share = stretch_shares(first, count)
-    fine_s = np.linspace(0.0, 1.0, count)
-    s, share = fine_s[::refinement], fine_share[::refinement]
 
     def stretch_of(share):
         return np.minimum(prestretch + span * share, high)
@@ -210,53 +281,47 @@ def scan(membrane: Membrane, stretches, loads, refinement: int = _REFINEMENT) ->
         if edge == top or panels[-1] + 0.05 < edge < top - 0.05:
             panels.append(edge)
             counts.append(count)
-    x, fine_t, matrix = _panel_matrix(panels, counts, refinement)
+    cliff = _find_cliff(membrane, high, panels[-2], top) if panels[-2] >= _PANELS[-1] else None
+    plain = len(counts) - (cliff is not None)
 
-    apex, t = (v.ravel() for v in np.meshgrid(stretch_of(share), x, indexing="ij"))
-    pressure, volume, slope = map_nodes(membrane.material, apex, t, prestretch, 28.0)
-    # towards lock-up at a high load the equations are stiffer; elsewhere 28 steps leave 1e-6
-    stiff = (t > 0.4) & ((apex - prestretch) > 0.5 * span)
-    for values, better in zip(
-        (pressure, volume, slope), map_nodes(membrane.material, apex[stiff], t[stiff], prestretch, 128.0), strict=True
-    ):
-        values[stiff] = better
-    # an inner layer forms there
-    stiff = (t > 0.8) & ((apex - prestretch) > 0.7 * span)
-    if stiff.any():
-        better = map_nodes(membrane.material, apex[stiff], t[stiff], prestretch, float(MOST_STEPS))
-        for values, node in zip((pressure, volume, slope), better, strict=True):
-            values[stiff] = node
-    wrong = ~_valid(pressure, volume, slope)
-    if wrong.any():
-        better = map_nodes(membrane.material, apex[wrong], t[wrong], prestretch, float(MOST_STEPS))
-        for values, node in zip((pressure, volume, slope), better, strict=True):
-            values[wrong] = node
-    valid = _valid(pressure, volume, slope).reshape(len(share), len(x))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        fields = np.stack([np.log(pressure / (1 - t)), np.log(volume)]).reshape(2, *valid.shape)
-    fine = np.full((2, len(fine_s), len(fine_t)), np.nan)
-    if valid.all():
-        smooth = make_interp_spline(s, fields, k=5, axis=1)(fine_s)
-        fine = smooth @ matrix.T
-    elif valid.sum(axis=0).min() >= 6:
-        # a node that no step count resolves is left to its column's neighbours, and the cells about it to nobody
-        columns = [
-            make_interp_spline(s[ok], column[:, ok], k=5, axis=1)(fine_s)
-            for ok, column in zip(valid.T, np.moveaxis(fields, 2, 0), strict=True)
-        ]
-        fine = np.stack(columns, axis=2) @ matrix.T
-        for row, column in np.argwhere(~valid):
-            near = np.abs(fine_s - s[row]) < s[1] - s[0]
-            beside = x[max(column - 1, 0)], x[min(column + 1, len(x) - 1)]
-            inside = (fine_t >= min(beside)) & (fine_t <= max(beside))
-            fine[np.ix_(np.arange(2), np.flatnonzero(near), np.flatnonzero(inside))] = np.nan
-    apex = stretch_of(fine_share)
+    # the fine rows, three times as many where the cliff passes
+    fine = np.linspace(0.0, 1.0, refinement * (_NODES[0] - 1) + 1)
+    if cliff is not None:
+        passed = cliff(np.linspace(panels[-2], top, 9))
+        near = _places(np.clip([passed.min() - 0.02, passed.max() + 0.02], first, 1.0), first)
+        extra = (fine[:-1, None] + np.diff(fine)[:, None] * np.array([1, 2]) / 3).ravel()
+        fine = np.sort(np.concatenate([fine, extra[(extra > near[0]) & (extra < near[1])]]))
+    rows = _shares(fine, first)
+    rows[[0, -1]] = first, 1.0
+
+    parts, fine_t = [], []
+    if plain:
+        x, own_t, matrix = _panel_matrix(panels[: plain + 1], counts[:plain], refinement)
+        places = np.linspace(0.0, 1.0, _NODES[0])
+        apex, t = np.meshgrid(stretch_of(stretch_shares(first, _NODES[0])), x, indexing="ij")
+        values = _columns(np.broadcast_to(places[:, None], apex.shape), *_mapped(membrane, apex, t), fine)
+        parts.append(values @ matrix.T)
+        fine_t.append(own_t)
+    if cliff is not None:
+        x, own_t, matrix = _panel_matrix(panels[-2:], counts[-1:], refinement)
+        share = np.stack([_shares(np.linspace(0.0, 1.0, _NODES[2]), first, cliff(v)) for v in x], axis=1)
+        share[[0, -1]] = [[first], [1.0]]
+        places = np.stack([_places(column, first, cliff(v)) for column, v in zip(share.T, x, strict=True)], axis=1)
+        apex, t = stretch_of(share), np.broadcast_to(x, share.shape)
+        even = np.linspace(0.0, 1.0, 6 * _NODES[2])
+        moving = _columns(places, *_mapped(membrane, apex, t), even)
+        smooth = make_interp_spline(even, moving, k=3, axis=1)
+        values = [smooth(_places(rows, first, cliff(v))) @ row for v, row in zip(own_t, matrix, strict=True)]
+        parts.append(np.stack(values, axis=2)[..., 1 if plain else 0 :])
+        fine_t.append(own_t[1 if plain else 0 :])
+    field, fine_t = np.concatenate(parts, axis=2), np.concatenate(fine_t)
+    apex = stretch_of(rows)
     return Scan(
         apex,
         fine_t,
         np.asarray(largest_load(membrane.material, apex)),
-        np.exp(fine[0]) * (1 - fine_t),
-        np.exp(fine[1]),
+        np.exp(field[0]) * (1 - fine_t),
+        np.exp(field[1]),
     )
 
 

@@ -12,7 +12,8 @@ import dataclasses
 import numpy as np
 from scipy.optimize import root_scalar
 
-from .equilibria import SCALE, Points, polish
+from .contours import OnSurface
+from .equilibria import SCALE, Points
 from .stations import Curve, between, hermite, scaled, solve_between
 
 __all__ = ["Located", "fold_events", "locate", "special_points"]
@@ -52,7 +53,7 @@ def event_values(kind: str, points: Points, target: float = 0.0) -> np.ndarray:
     raise ValueError(f"`kind` must be the name of an event, but is {kind!r}.")
 
 
-def fold_events(kind: str, membrane, contour, curve: Curve, tolerance: float) -> Curve:
+def fold_events(kind: str, solver, curve: Curve, tolerance: float) -> Curve:
     """The curve with points added where q (or p) on one interval has a hidden pair of folds."""
     column = 2 if kind == "fold" else 1
     for _ in range(3):
@@ -67,7 +68,7 @@ def fold_events(kind: str, membrane, contour, curve: Curve, tolerance: float) ->
         if not hidden.any():
             break
         i = np.flatnonzero(hidden)
-        middle = solve_between(membrane, contour, curve.points, i, np.full(len(i), 0.5), tolerance=tolerance)
+        middle = solve_between(solver, curve.points, i, np.full(len(i), 0.5), tolerance=tolerance)
         ok = np.flatnonzero(middle.ok)
         place = np.concatenate([np.arange(len(curve.points)), i[ok] + 0.5])
         points = Points.join([curve.points, middle.take(ok)]).take(np.argsort(place, kind="stable"))
@@ -85,8 +86,40 @@ def brackets(curve: Curve, kind: str, target: float = 0.0) -> np.ndarray:
         return np.flatnonzero(((f[:-1] < 0) != (f[1:] < 0)) & np.isfinite(f[:-1]) & np.isfinite(f[1:]))
 
 
-def locate(membrane, contour, curves: list[Curve], wanted: list[tuple], tolerance: float):
+def locate(solver, curves: list[Curve], wanted: list[tuple], tolerance: float, *, certify: bool = True):
     """Roots for `wanted` = (kind, branch, interval, target), and those of `wanted` that were not met to tolerance.
+
+    On a surface, roots are met there first; with `certify` shooting then starts from them, and what it corrects is part
+    of their error.
+    """
+    if not isinstance(solver, OnSurface):
+        found, missed = _locate(solver, curves, wanted, tolerance, {})
+        return list(found.values()), missed
+    easy = [w for w in wanted if w[0] not in solver.shot_kinds]
+    near, _ = _locate(dataclasses.replace(solver, alone=True), curves, easy, tolerance, {})
+    shot = wanted if certify else [w for w in wanted if w not in near]
+    found, missed = _locate(solver.shooting, curves, shot, tolerance, near)
+    for w, root in near.items():
+        if w in found:
+            column = 1 if w[0] == "pressure_fold" else 2
+            seen, exact = (
+                r.point.volume[0] if w[0] == "zero_voltage" else r.point.u[column, 0] for r in (root, found[w])
+            )
+            found[w].error = max(found[w].error, abs(float(seen - exact)) / max(abs(float(exact)), 1e-3))
+        elif not certify:
+            found[w] = dataclasses.replace(root, point=_with_index(curves[w[1]], w[2], root))
+    return list(found.values()), missed
+
+
+def _with_index(curve: Curve, interval: int, root: Located) -> Points:
+    """The point of a root with what its neighbour on the same side of any fold knows: index and least hoop tension."""
+    ends = curve.points.take(slice(interval, interval + 2))
+    same = root.point.tangent[0, 2] * ends.tangent[0, 2] > 0 or "fold" in root.kind
+    return dataclasses.replace(root.point, index=ends.index[[0 if same else 1]], hoop=ends.hoop[[0 if same else 1]])
+
+
+def _locate(solver, curves, wanted, tolerance, near: dict):
+    """Roots by their place in `wanted`, and those not met; `near` holds roots to start from.
 
     A given load is a row of Newton's system and takes one solve; the other events, and a load that this fails for, take
     the secant method.
@@ -94,11 +127,11 @@ def locate(membrane, contour, curves: list[Curve], wanted: list[tuple], toleranc
     loads = [w for w in wanted if w[0] in ("zero_voltage", "load")]
     rest = [w for w in wanted if w not in loads]
     with concurrent.futures.ThreadPoolExecutor(1) as pool:
-        job = pool.submit(_locate_loads, membrane, contour, curves, loads, tolerance)
-        roots, missed = _locate_roots(membrane, contour, curves, rest, tolerance)
+        job = pool.submit(_locate_loads, solver, curves, loads, tolerance)
+        roots, missed = _locate_roots(solver, curves, rest, tolerance, near)
         found, again = job.result()
-    more, lost = _locate_roots(membrane, contour, curves, again, tolerance)
-    return found + roots + more, missed + lost
+    more, lost = _locate_roots(solver, curves, again, tolerance, near)
+    return found | roots | more, missed + lost
 
 
 def _hermite_roots(x0, x1, t0, t1, gap, target) -> np.ndarray:
@@ -186,10 +219,10 @@ def _shifted(curve: Curve, interval: int, point: Points, move: float) -> Points:
     return dataclasses.replace(point, **moved)
 
 
-def _locate_loads(membrane, contour, curves, wanted, tolerance):
+def _locate_loads(solver, curves, wanted, tolerance):
     """States at given loads by one Newton solve each; and the wanted ones it failed for."""
     if not wanted:
-        return [], []
+        return {}, []
     ends = Points.join([curves[b].points.take(np.array([i, i + 1])) for _, b, i, _ in wanted])
     first = 2 * np.arange(len(wanted))
     x, t = scaled(ends.u.T), ends.tangent
@@ -198,22 +231,28 @@ def _locate_loads(membrane, contour, curves, wanted, tolerance):
     share = _hermite_roots(x[first, 2], x[first + 1, 2], t[first, 2], t[first + 1, 2], gap, target / SCALE[2])
     at, normal, _ = between(ends, first, share)
     rows = np.tile([0.0, 0.0, 1.0], (len(wanted), 1))
-    points = polish(membrane, contour, (at * SCALE).T, rows, target, tolerance=tolerance / 2, reach=0.5)
+    points = solver.polish((at * SCALE).T, rows, target, tolerance=tolerance / 2, reach=0.5)
     points.tangent = points.tangent * np.where((points.tangent * normal).sum(axis=1) < 0, -1.0, 1.0)[:, None]
     along = (normal * (scaled(points.u.T) - x[first])).sum(axis=1)
     ok = points.ok & (along > -1e-6) & (along < gap + 1e-6) & (points.error <= tolerance)
-    found = [
-        Located(kind, b, float(curves[b].position[i] + along[n]), points.take(np.array([n])), float(points.error[n]))
-        for n, (kind, b, i, _) in enumerate(wanted)
+    found = {
+        w: Located(
+            w[0],
+            w[1],
+            float(curves[w[1]].position[w[2]] + along[n]),
+            points.take(np.array([n])),
+            float(points.error[n]),
+        )
+        for n, w in enumerate(wanted)
         if ok[n]
-    ]
+    }
     return found, [w for n, w in enumerate(wanted) if not ok[n]]
 
 
-def _locate_roots(membrane, contour, curves, wanted, tolerance):
+def _locate_roots(solver, curves, wanted, tolerance, near: dict):
     """Roots of event functions by a secant method that keeps its brackets; and the wanted ones it failed for."""
     if not wanted:
-        return [], []
+        return {}, []
     ends = Points.join([curves[b].points.take(np.array([i, i + 1])) for _, b, i, _ in wanted])
     lanes = np.arange(len(wanted))
     first = 2 * lanes
@@ -230,6 +269,8 @@ def _locate_roots(membrane, contour, curves, wanted, tolerance):
     for n, (kind, branch, i, _) in enumerate(wanted):
         better = _fold_share(curves[branch], kind, i) if "fold" in kind else None
         share[n] = share[n] if better is None else better
+        if wanted[n] in near:
+            share[n] = (near[wanted[n]].position - curves[branch].position[i]) / gap[n]
     last, f_last = np.full(len(wanted), np.nan), np.full(len(wanted), np.nan)
     change = np.full(len(wanted), np.inf)
     # a least value along the membrane has kinks: its neighbours may tell nothing
@@ -239,8 +280,7 @@ def _locate_roots(membrane, contour, curves, wanted, tolerance):
     for _ in range(_ROUNDS):
         at = share[active]
         found = solve_between(
-            membrane,
-            contour,
+            solver,
             ends,
             first[active],
             at,
@@ -281,7 +321,7 @@ def _locate_roots(membrane, contour, curves, wanted, tolerance):
         if not len(active):
             break
         share[active] = new
-    out, missed = [], []
+    out, missed = {}, []
     for n, (kind, branch, i, _) in enumerate(wanted):
         point = trials[n][-1]
         if not point.ok[0] or not change[n] < 1e-5:
@@ -294,7 +334,7 @@ def _locate_roots(membrane, contour, curves, wanted, tolerance):
         column = 1 if kind == "pressure_fold" else 2
         rest = along[column] / max(abs(point.u[column, 0]), 1e-3) if kind != "zero_voltage" else 0.0
         position = curves[branch].position[i] + share[n] * gap[n]
-        out.append(Located(kind, branch, float(position), point, float(max(point.error[0], rest))))
+        out[wanted[n]] = Located(kind, branch, float(position), point, float(max(point.error[0], rest)))
     return out, missed
 
 
@@ -307,7 +347,7 @@ def _line(before: Points, last: Points, along: float) -> Points:
     return Points(**moved)
 
 
-def special_points(membrane, contour, curves: list[Curve], kinds: tuple[str, ...], tolerance: float):
+def special_points(solver, curves: list[Curve], kinds: tuple[str, ...], tolerance: float, *, certify: bool = True):
     """All special points of the named kinds on all branches, in order along each branch; and (kind, branch, …) missed."""
     wanted = [
         (kind, branch, int(i), 0.0)
@@ -315,5 +355,5 @@ def special_points(membrane, contour, curves: list[Curve], kinds: tuple[str, ...
         for kind in kinds
         for i in brackets(curve, kind)
     ]
-    found, missed = locate(membrane, contour, curves, wanted, tolerance)
+    found, missed = locate(solver, curves, wanted, tolerance, certify=certify)
     return sorted(found, key=lambda p: (p.branch, p.position)), missed

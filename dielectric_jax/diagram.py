@@ -8,7 +8,9 @@ import dataclasses
 import numpy as np
 
 from .branches import find_curves
+from .contours import OnSurface
 from .critical import Located, brackets, fold_events, locate, special_points
+from .equilibria import Shooting
 from .loading import Chamber, ConstantPressure, ConstantVoltage, Contour
 from .materials import largest_load
 from .membrane import Membrane
@@ -20,6 +22,7 @@ from .scene import SCANNED_LOAD, Scene, Window, describe
 from .states import check_concrete, check_request, flat_state, states_of, too_flat
 from .states import filling as filling_of
 from .stations import Curve
+from .surface import Surface
 from .tracing import warm_up
 
 __all__ = ["Diagram", "pressure_volume", "voltage_volume"]
@@ -145,14 +148,14 @@ def _special(located: Located, tolerance: float) -> SpecialPoint:
 
 @dataclasses.dataclass
 class Solved:
-    """What ramps need of a scene: membrane, contour, exact branches, located points."""
+    """What ramps need of a scene: the engine, exact branches, located points."""
 
-    membrane: Membrane
-    contour: Contour
+    solver: Shooting | OnSurface
     curves: list[Curve]
     located: list[Located]
     missed: list[tuple]
     tolerance: float
+    certify: bool = True
 
     def states_at_load(self, voltage_squared: float) -> list[Located]:
         """All states at one q, on all branches."""
@@ -161,7 +164,7 @@ class Solved:
             for b, curve in enumerate(self.curves)
             for i in brackets(curve, "load", voltage_squared)
         ]
-        found, missed = locate(self.membrane, self.contour, self.curves, wanted, self.tolerance)
+        found, missed = locate(self.solver, self.curves, wanted, self.tolerance, certify=self.certify)
         self.missed.extend(missed)
         return found
 
@@ -188,12 +191,24 @@ def _branch(curve: Curve, tolerance: float, points: int, more_flags: tuple) -> B
     return Branch(**columns, start=curve.start, end=curve.end, flags=curve.flags + more_flags)
 
 
-def _solve(membrane, contour, limits, kinds, points, tolerance) -> tuple[Solved, bool]:
-    curves, complete = find_curves(membrane, contour, limits, count=max(points, _STATIONS), tolerance=tolerance)
-    fold = kinds[0]
-    curves = [fold_events(fold, membrane, contour, c, tolerance) for c in curves]
-    located, missed = special_points(membrane, contour, curves, kinds, tolerance)
-    return Solved(membrane, contour, curves, located, missed, tolerance), complete
+def _solver(membrane: Membrane, contour: Contour, surface: Surface | None) -> Shooting | OnSurface:
+    """The engine of a diagram."""
+    if surface is None:
+        return Shooting(membrane, contour)
+    if not isinstance(surface, Surface) or not surface.belongs_to(membrane):
+        raise ValueError(f"`surface` must be built for the membrane of the scene, but is {surface!r}.")
+    return OnSurface(surface, contour)
+
+
+def _solve(solver, limits, kinds, points, tolerance, certify: bool, extend: bool) -> tuple[Solved, bool]:
+    count = max(points, _STATIONS)
+    curves, complete = find_curves(solver, limits, count=count, tolerance=tolerance, extend=extend)
+    if not curves:
+        raise SceneError(Code.no_equilibrium)
+    curves = [fold_events(kinds[0], solver, c, tolerance) for c in curves]
+    curves = [dataclasses.replace(c, points=solver.complete(c.points)) for c in curves]
+    located, missed = special_points(solver, curves, kinds, tolerance, certify=certify)
+    return Solved(solver, curves, located, missed, tolerance, certify), complete
 
 
 def pressure_volume(
@@ -203,10 +218,14 @@ def pressure_volume(
     points: int = 256,
     tolerance: float = 1e-9,
     window: Window | None = None,
+    surface: Surface | None = None,
+    certify: bool = True,
+    extend: bool = True,
 ) -> Diagram:
     """The pressure–volume curve of a membrane at a fixed voltage: branches and folds in pressure.
 
-    Arguments: `voltage` Φ in units of H√(μ/ε); `points` a branch; `tolerance` of the error estimate.
+    Arguments: `voltage` Φ in units of H√(μ/ε); `points` a branch; `tolerance` of the error estimate; `surface`, `certify`
+    and `extend` as in `voltage_volume`.
     Raises ValueError for bad input and SceneError where no tensile equilibrium lies in the window.
 
     >>> curve = pressure_volume(Membrane(), voltage=0.0)
@@ -216,32 +235,28 @@ def pressure_volume(
     check_request(points, tolerance)
     scene = Scene(membrane, ConstantVoltage(voltage), window or Window())
     check_concrete(scene)
-    limits = scene.limits()
-    warm_up(scene.membrane)
-    contour = scene.loading.contour()
-    solved, complete = _solve(
-        membrane, contour, limits, ("pressure_fold", "breakdown", "hoop_tension_loss"), points, tolerance
-    )
-    if not solved.curves:
-        raise SceneError(Code.no_equilibrium)
-    branches = _branches(solved, points)
-    special = [_special(p, tolerance) for p in solved.located]
-    return Diagram(
-        "pressure-volume",
-        scene,
-        branches,
-        special,
-        complete,
-        tolerance,
-        limits,
-        voltage=float(voltage),
-        contour=contour,
-    )
+    kinds = ("pressure_fold", "breakdown", "hoop_tension_loss")
+    solver = _solver(membrane, scene.loading.contour(), surface)
+    warm_up(membrane)
+    solved, complete = _solve(solver, scene.limits(), kinds, points, tolerance, certify, extend)
+    return _diagram("pressure-volume", scene, solved, complete, points, voltage=float(voltage))
 
 
-def voltage_volume(scene: Scene, *, points: int = 256, tolerance: float = 1e-9) -> Diagram:
+def voltage_volume(
+    scene: Scene,
+    *,
+    points: int = 256,
+    tolerance: float = 1e-9,
+    surface: Surface | None = None,
+    certify: bool = True,
+    extend: bool = True,
+) -> Diagram:
     """The voltage–volume diagram of a membrane on a chamber or at constant pressure, with its special points and ramp.
 
+    Arguments: `points` a branch; `tolerance` of the error estimate, from 1e-12 to 1e-3. With a `surface` of the scene's
+    membrane, branches are contours on it, met by Newton without stepping; where they leave its domain shooting goes on,
+    or with `extend=False` they end there. `certify` polishes special points by shooting; the correction is part of their
+    error.
     Raises ValueError for bad input and SceneError where no tensile equilibrium lies in the window.
 
     >>> from dielectric_jax import Chamber
@@ -266,29 +281,29 @@ def voltage_volume(scene: Scene, *, points: int = 256, tolerance: float = 1e-9) 
     filling = filling_of(scene, tolerance)
     if filling == (0.0, 0.0):
         return _flat_diagram(scene, limits, points, tolerance)
-    contour = loading.contour(*filling)
     kinds = ("fold", "zero_voltage", "breakdown", "hoop_tension_loss")
-    solved, complete = _solve(scene.membrane, contour, limits, kinds, points, tolerance)
-    if not solved.curves:
-        flat = isinstance(loading, ConstantPressure) and too_flat(scene.membrane, "pressure", float(loading.pressure))
-        raise SceneError(Code.near_flat if flat else Code.no_equilibrium)
-    special = [_special(p, tolerance) for p in solved.located]
-    volume = filling[1] if isinstance(loading, Chamber) else None
-    up, down = build_ramp(solved, volume)
-    branches = _branches(solved, points)
-    return Diagram(
-        "voltage-volume",
-        scene,
-        branches,
-        special,
-        complete,
-        tolerance,
-        limits,
-        contour=contour,
-        _up=up,
-        _down=down,
-        _solver=solved,
-    )
+    solver = _solver(scene.membrane, loading.contour(*filling), surface)
+    try:
+        solved, complete = _solve(solver, limits, kinds, points, tolerance, certify, extend)
+    except SceneError:
+        if isinstance(loading, ConstantPressure) and too_flat(scene.membrane, "pressure", float(loading.pressure)):
+            raise SceneError(Code.near_flat) from None
+        raise
+    up, down = build_ramp(solved, filling[1] if isinstance(loading, Chamber) else None)
+    return _diagram("voltage-volume", scene, solved, complete, points, _up=up, _down=down)
+
+
+def _diagram(kind: str, scene: Scene, solved: Solved, complete: bool, points: int, **more) -> Diagram:
+    """The diagram of what was solved."""
+    engine = "surface" if isinstance(solved.solver, OnSurface) else "continuation"
+    special = [_special(p, solved.tolerance) for p in solved.located]
+    fixed = {
+        "tolerance": solved.tolerance,
+        "limits": scene.limits(),
+        "contour": solved.solver.contour,
+        "engine": engine,
+    }
+    return Diagram(kind, scene, _branches(solved, points), special, complete, _solver=solved, **fixed, **more)
 
 
 def _flat_point(membrane: Membrane, q: float, kind: str) -> SpecialPoint:

@@ -19,7 +19,7 @@ from .loading import Contour
 from .materials import largest_load
 from .programs import threads
 from .results import check_positive
-from .surface import Surface
+from .surface import ById, Surface
 
 __all__ = ["Outcome", "Ramps", "chamber_ramps"]
 
@@ -79,8 +79,8 @@ class _Table(eqx.Module):
 
 
 @functools.lru_cache(maxsize=16)
-def _table_of(key: "_ById") -> _Table:
-    surface = key.surface
+def _table_of(key: ById) -> _Table:
+    surface = key.value
     rim, high = float(surface.membrane.prestretch), float(surface.apex_edges[-1])
     # rows crowd towards the flat end
     apex = rim + (high - rim) * np.linspace(0.003, 1.0 - 1e-9, _ROWS) ** 2
@@ -92,19 +92,6 @@ def _table_of(key: "_ById") -> _Table:
     p, v = jax.jit(lambda s, a, t: s.at_load_fraction(a, t, ("pressure", "volume")))(surface, apex[:, None], load)
     limit = largest_load(surface.membrane.material, apex)
     return _Table(jnp.asarray(apex), jnp.asarray(load), p, v, limit, surface.breakdown_load(apex))
-
-
-class _ById:
-    """A surface as a key: the object itself."""
-
-    def __init__(self, surface: Surface):
-        self.surface = surface
-
-    def __hash__(self):
-        return id(self.surface)
-
-    def __eq__(self, other):
-        return self.surface is other.surface
 
 
 def _newton(function, start, valid, room: typing.Any = jnp.inf):
@@ -329,7 +316,7 @@ def chamber_ramps(
             check_positive(name, float(values[wrong].flat[0]), zero=name == "atmospheric_pressure")
     shape = columns["chamber_volume"].shape
     flat = [values.ravel() for values in columns.values()]
-    table = _table_of(_ById(surface))
+    table = _table_of(ById(surface))
     if not flat[0].size:
         raise ValueError("`chamber_volume` must hold at least one chamber, but is empty.")
 

@@ -18,7 +18,7 @@ from .membrane import Membrane
 from .programs import await_programs, careful_program, jacobian_program, run_chunks, value_program
 from .scene import SCANNED_LOAD
 
-__all__ = ["Points", "largest_on", "load_fraction", "locking_stretch", "polish"]
+__all__ = ["Points", "Shooting", "largest_on", "load_fraction", "locking_stretch", "polish"]
 
 SCALE = np.array([1.0, 0.2, 0.02])  # of (λa, p, q)
 # steps: of Newton, then of the residual; where an inner layer forms (a high load near lock-up, or near the cone) Newton
@@ -197,6 +197,22 @@ def polish(
             order.append(which)
             done.append(points)
     return Points.join(done).take(np.argsort(np.concatenate(order)))
+
+
+@dataclasses.dataclass(frozen=True)
+class Shooting:
+    """The engine that finds states by shooting: `polish` for one membrane and one loading."""
+
+    membrane: Membrane
+    contour: Contour
+
+    def polish(self, u, rows, targets, **options) -> Points:
+        """States near `u` on the loading's contour with rows·u = targets; see `polish`."""
+        return polish(self.membrane, self.contour, u, rows, targets, **options)
+
+    def complete(self, points: Points) -> Points:
+        """The points with everything a diagram shows: here they are."""
+        return points
 
 
 def _polish(membrane, contour, u, rows, targets, tolerance, reach, level, refine) -> Points:

@@ -27,6 +27,7 @@ class Code(enum.IntEnum):
     no_fold = 11
     beyond_tolerance = 12
     near_flat = 13
+    surface_edge = 14
 
     @property
     def sentence(self) -> str:
@@ -57,6 +58,7 @@ _SENTENCES = {
         "The pressure or volume is so small that double precision does not tell the membrane from a flat one; "
         "ask for a larger one, or for 0, the flat membrane."
     ),
+    Code.surface_edge: "The branch leaves the domain of the surface; extend it by shooting to follow it further.",
     Code.beyond_tolerance: "The error estimate exceeds the tolerance; ask for a looser tolerance.",
 }
 

@@ -101,11 +101,14 @@ def filling(scene: Scene, tolerance: float) -> tuple[float | None, float | None]
 
 
 def _zero_load_line(membrane: Membrane):
-    """λa, p and V of the scan at its load nearest to zero: starts for Newton at zero voltage."""
+    """λa, p and V of the scan interpolated to zero load: starts for Newton at zero voltage."""
     limits = Scene(membrane, ConstantVoltage(0.0)).limits()
     chart = cached_scan(membrane, limits[0], limits[2])
-    j = int(np.argmin(np.abs(chart.load_fraction)))
-    return chart.apex_stretch, chart.pressure[:, j], chart.volume[:, j]
+    first = int(np.clip(np.searchsorted(chart.load_fraction, 0.0) - 2, 0, len(chart.load_fraction) - 4))
+    near = slice(first, first + 4)
+    weights = np.linalg.solve(np.vander(chart.load_fraction[near], increasing=True).T, [1.0, 0.0, 0.0, 0.0])
+    pressure, volume = (np.exp(np.log(field[:, near]) @ weights) for field in (chart.pressure, chart.volume))
+    return chart.apex_stretch, pressure, volume
 
 
 def _filled_state(membrane: Membrane, quantity: str, wanted: float, tolerance: float) -> State | None:

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .equilibria import SCALE, Points, largest_on, load_fraction, locking_stretch, polish
+from .equilibria import SCALE, Points, largest_on, load_fraction, locking_stretch
 from .results import Code
 from .scene import SCANNED_LOAD
 
@@ -93,51 +93,51 @@ def clip_to_window(line, tangents, inside, end):
     tangents[end] /= np.linalg.norm(tangents[end])
 
 
-def _stations(membrane, contour, line, tangents, count, tolerance, chart) -> tuple[Points, np.ndarray]:
+def _stations(solver, line, tangents, count, tolerance, chart) -> tuple[Points, np.ndarray]:
     """Exact points at stations of a traced line (scaled), and which of them are good."""
-    at, normal = _resample(membrane, line, tangents, count)
+    at, normal = _resample(solver.membrane, line, tangents, count)
     # at the flat end p falls like a power of λa − λ0, which no Hermite cubic follows: start on the scan
-    flat = at[:, 0] - float(membrane.prestretch) < 0.02
+    flat = at[:, 0] - float(solver.membrane.prestretch) < 0.02
     if flat.any():
-        load = at[flat, 2] * SCALE[2] / largest_on(membrane.material, at[flat, 0])
+        load = at[flat, 2] * SCALE[2] / largest_on(solver.membrane.material, at[flat, 0])
         at[flat, 1] = chart.pressure_of(at[flat, 0], load) / SCALE[1]
     target = (normal * at).sum(axis=1)
-    points = polish(membrane, contour, (at * SCALE).T, normal / SCALE, target, tolerance=tolerance, reach=0.5)
+    points = solver.polish((at * SCALE).T, normal / SCALE, target, tolerance=tolerance, reach=0.5)
     points.tangent = points.tangent * np.where((points.tangent * normal).sum(axis=1) < 0, -1.0, 1.0)[:, None]
     # within the scanned loads rounding at the flat end may exceed the tolerance: such points stay, with a flag
-    fair = (points.error <= tolerance) | ((load_fraction(membrane, points.u) <= SCANNED_LOAD) & (points.error < 1e-6))
+    fair = (points.error <= tolerance) | (
+        (load_fraction(solver.membrane, points.u) <= SCANNED_LOAD) & (points.error < 1e-6)
+    )
     return points, points.ok & fair
 
 
-def exact_curve(
-    membrane, contour, line, tangents, codes, count, tolerance, chart, retrace: Callable
-) -> tuple[Curve | None, bool]:
+def exact_curve(solver, line, tangents, codes, count, tolerance, chart, retrace: Callable) -> tuple[Curve | None, bool]:
     """The traced branch (scaled) as exact points, and whether it goes as far as it should.
 
     `retrace(u, direction)` follows the branch from an exact point on the finest grid: a scaled line, its tangents and the
     code of its end. It is used where stations are lost inside the scanned window.
     """
-    points, good = _stations(membrane, contour, line, tangents, count, tolerance, chart)
+    points, good = _stations(solver, line, tangents, count, tolerance, chart)
     if good.sum() < 2:
         return None, False
     kept = np.flatnonzero(good)
     ends_lost = kept[0] > 0, kept[-1] < len(points) - 1
     points, gaps = points.take(kept), np.flatnonzero(np.diff(kept) > 1)
     # beyond the scanned loads a lost station is missed only where the refinement below wants it
-    gaps = gaps[load_fraction(membrane, points.u)[gaps] < SCANNED_LOAD]
+    gaps = gaps[load_fraction(solver.membrane, points.u)[gaps] < SCANNED_LOAD]
     hole = (np.diff(kept)[gaps] > _WIDEST_HOLE).any()
     flags = []
     if len(gaps):  # lanes that Newton lost between good ones: once more, from better starts
         before = len(points)
-        points = _insert(membrane, contour, points, gaps, tolerance)
+        points = _insert(solver, points, gaps, tolerance)
         if len(points) < before + len(gaps):
             flags.append("points_lost")
     codes, whole = list(codes), not hole
     for end, lost in enumerate(ends_lost):
         if not lost:
             continue
-        points, code = _extend(membrane, contour, points, end, max(count // 4, 32), tolerance, chart, retrace)
-        fraction = load_fraction(membrane, points.take(np.array([-end])).u)[0]
+        points, code = _extend(solver, points, end, max(count // 4, 32), tolerance, chart, retrace)
+        fraction = load_fraction(solver.membrane, points.take(np.array([-end])).u)[0]
         # beyond the scanned loads a branch is followed only as far as its error estimate allows
         codes[end] = code or (Code.apex_cone if fraction > 0.5 else Code.beyond_tolerance)
         whole &= code is not None or bool(fraction >= _LOST)
@@ -147,12 +147,12 @@ def exact_curve(
         flags.append("error_above_tolerance")
     for _ in range(4):
         turn = (points.tangent[1:] * points.tangent[:-1]).sum(axis=1)
-        approach = np.abs(np.diff(_cone_measure(membrane, scaled(points.u.T)))) / _CONE_WEIGHT
+        approach = np.abs(np.diff(_cone_measure(solver.membrane, scaled(points.u.T)))) / _CONE_WEIGHT
         wide = np.flatnonzero((turn < np.cos(_MOST_TURN)) | (approach > _MOST_APPROACH))
         if not len(wide) or len(points) > 4 * count:
             break
         before = len(points)
-        points = _insert(membrane, contour, points, wide, tolerance)
+        points = _insert(solver, points, wide, tolerance)
         if len(points) == before:
             break
     if points.volume[0] > points.volume[-1]:  # a branch begins at its smaller volume
@@ -168,20 +168,20 @@ def _reversed(points: Points) -> Points:
     return points
 
 
-def _extend(membrane, contour, points, end, count, tolerance, chart, retrace) -> tuple[Points, Code | None]:
+def _extend(solver, points, end, count, tolerance, chart, retrace) -> tuple[Points, Code | None]:
     """Points with the stations that a trace on the finest grid finds beyond an end (0 or 1), and why it ended.
 
     No code where stations were lost again. Only below the load to which the scan goes.
     """
     if end == 0:
-        found, code = _extend(membrane, contour, _reversed(points), 1, count, tolerance, chart, retrace)
+        found, code = _extend(solver, _reversed(points), 1, count, tolerance, chart, retrace)
         return _reversed(found), code
-    if not load_fraction(membrane, points.take(np.array([-1])).u)[0] < _LOST:
+    if not load_fraction(solver.membrane, points.take(np.array([-1])).u)[0] < _LOST:
         return points, None
     line, tangents, code = retrace(points.u[:, -1], points.tangent[-1] * SCALE)
     if len(line) < 3:
         return points, None
-    more, good = _stations(membrane, contour, line, tangents, count, tolerance, chart)
+    more, good = _stations(solver, line, tangents, count, tolerance, chart)
     reached = int(np.argmin(np.append(good[1:], False)))  # good stations in a row after the first, which is known
     more = more.take(np.arange(1, reached + 1))
     joined = Points.join([points, more]) if reached else points
@@ -198,17 +198,17 @@ def between(points: Points, i: np.ndarray, share: np.ndarray):
     return at, normal, (normal * x0).sum(axis=1) + share * gap[:, 0]
 
 
-def solve_between(membrane, contour, points, i, share, **options) -> Points:
+def solve_between(solver, points, i, share, **options) -> Points:
     """Exact points on the planes across the chords from points i to i + 1, oriented like the branch."""
     at, normal, target = between(points, i, share)
-    found = polish(membrane, contour, (at * SCALE).T, normal / SCALE, target, reach=0.5, **options)
+    found = solver.polish((at * SCALE).T, normal / SCALE, target, reach=0.5, **options)
     found.tangent = found.tangent * np.where((found.tangent * normal).sum(axis=1) < 0, -1.0, 1.0)[:, None]
     return found
 
 
-def _insert(membrane, contour, points, wide, tolerance) -> Points:
+def _insert(solver, points, wide, tolerance) -> Points:
     """Points with the middles of the intervals `wide` added where Newton finds them."""
-    middle = solve_between(membrane, contour, points, wide, np.full(len(wide), 0.5), tolerance=tolerance)
+    middle = solve_between(solver, points, wide, np.full(len(wide), 0.5), tolerance=tolerance)
     good = np.flatnonzero(middle.ok & (middle.error <= tolerance))
     place = np.concatenate([np.arange(len(points)), wide[good] + 0.5])
     joined = Points.join([points, middle.take(good)])

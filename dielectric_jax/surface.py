@@ -11,6 +11,7 @@ import pathlib
 import typing
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -22,7 +23,7 @@ from .results import check_positive
 from .scene import SCANNED_LOAD
 from .sheet import NODES, QUANTITIES, Element, build_elements, edge_factors
 
-__all__ = ["SheetState", "Surface"]
+__all__ = ["ById", "SheetState", "Surface"]
 
 _FORMAT = "dielectric_jax surface 1"
 _BOTTOM = -0.75
@@ -166,6 +167,11 @@ class Surface(eqx.Module):
         apex = jnp.asarray(apex_stretch, float)
         return (self.membrane.breakdown.field(apex) / apex**2) ** 2
 
+    def belongs_to(self, membrane: Membrane) -> bool:
+        """Whether it was built for a membrane equal to this one."""
+        own, other = jax.tree.flatten(self.membrane), jax.tree.flatten(membrane)
+        return own[1] == other[1] and all(np.array_equal(a, b) for a, b in zip(own[0], other[0], strict=True))
+
     def save(self, path) -> None:
         """Writes the surface to a file of NumPy arrays (.npz), with a checksum and the membrane's fingerprint."""
         arrays = {name: np.asarray(getattr(self, name)) for name in _ARRAYS}
@@ -210,6 +216,19 @@ class Surface(eqx.Module):
         return (
             f"Surface({len(self.errors)} elements, prestretch={float(self.membrane.prestretch):g}, error {worst:.1e})"
         )
+
+
+class ById:
+    """A surface as a key of caches: the object itself, not its arrays."""
+
+    def __init__(self, value: Surface):
+        self.value = value
+
+    def __hash__(self):
+        return id(self.value)
+
+    def __eq__(self, other):
+        return self.value is other.value
 
 
 _ARRAYS = ("apex_edges", "load_edges", "cells", "boxes", "coefficients", "errors")

@@ -19,7 +19,7 @@ __all__ = ["run_trace", "run_traces", "warm_up"]
 
 # towards lock-up the rim condition is a wall: a small step of Newton may begin far beyond it
 _STEPS = Steps(
-    first=0.05, largest=1.0, smallest=2e-5, most_turn=0.35, most_correction=0.2, tolerance=1e-4, most_residual=0.1
+    first=0.05, largest=1.0, smallest=1e-6, most_turn=0.35, most_correction=0.2, tolerance=1e-4, most_residual=0.1
 )
 # grids of the continuation, and the load fractions up to which each is used, near lock-up (an inner layer forms) and
 # elsewhere (towards the cone); the last is the last resort
@@ -29,7 +29,7 @@ _TOP_NEAR_LOCK_UP = 0.94
 
 
 @functools.partial(jax.jit, static_argnames="steps")
-def _trace_program(material, prestretch, contour, limits, seed, direction, active, accuracy, tops, steps):
+def _trace_program(material, prestretch, contour, limits, seed, direction, active, accuracy, tops, largest, steps):
     def linearise(u, args):
         material, prestretch, contour, accuracy = args
         lag, volume, columns = rim_with_columns(material, u, accuracy)
@@ -72,38 +72,44 @@ def _trace_program(material, prestretch, contour, limits, seed, direction, activ
         steps=steps,
         linearise=linearise,
         monitors=lambda u, args: jnp.log(jnp.maximum(1 - u[2] / largest_load(args[0], u[0]), 1e-6)),
+        largest=largest,
         active=active,
     )
 
 
-def run_traces(membrane, contour, limits, seeds, directions):
+def run_traces(membrane, contour, limits, seeds, directions, **options):
     """Traces from many seeds, each on a core of its own while there are any: a list of (points, tangents, code)."""
 
     def one(seed, direction):
-        return run_trace(membrane, contour, limits, seed, direction)
+        return run_trace(membrane, contour, limits, seed, direction, **options)
 
     return list(threads().map(one, seeds, directions))
 
 
-def run_trace(membrane, contour, limits, seed, direction, *, finest=False):
-    """One trace, from the coarsest grid on or on the finest alone: points, unit tangents in scaled unknowns, code."""
-    level = len(_TRACE_STEPS) - 1 if finest else 0
-    points, tangents, code = _run_trace(membrane, contour, limits, np.asarray(seed), np.asarray(direction), level)
+def run_trace(membrane, contour, limits, seed, direction, *, level=0, largest=_STEPS.largest):
+    """One trace, from the grid `level` on (−1 is the finest): points, unit tangents in scaled unknowns, code.
+
+    `largest` bounds the step; a shorter one tells branches apart that nearly meet.
+    """
+    level %= len(_TRACE_STEPS)
+    points, tangents, code = _run_trace(
+        membrane, contour, limits, np.asarray(seed), np.asarray(direction), level, largest
+    )
     return points, tangents / SCALE, code
 
 
-def _run_trace(membrane, contour, limits, seed, direction, level):
+def _run_trace(membrane, contour, limits, seed, direction, level, largest):
     """One trace; where it leaves the region its grid resolves it goes on from there on the finer grid."""
-    grid = _TRACE_STEPS[level], np.array(_TOPS[level])
+    grid = _TRACE_STEPS[level], np.array(_TOPS[level]), largest
     done = _trace_program(membrane.material, membrane.prestretch, contour, limits, seed, direction, True, *grid, _STEPS)
     count, code = int(done.count), Code(int(done.code))
     points, tangents = np.asarray(done.points)[:count], np.asarray(done.tangents)[:count]
     if code not in (Code.beyond_tolerance, Code.step_too_small) or level + 1 == len(_TRACE_STEPS):
         return points, tangents, code
     if count <= 1:  # it never began
-        return _run_trace(membrane, contour, limits, seed, direction, level + 1)
+        return _run_trace(membrane, contour, limits, seed, direction, level + 1, largest)
     # on from the last point inside
-    finer = _run_trace(membrane, contour, limits, points[-2], tangents[-2], level + 1)
+    finer = _run_trace(membrane, contour, limits, points[-2], tangents[-2], level + 1, largest)
     if len(finer[0]) < 2:
         return points[:-1], tangents[:-1], Code.step_too_small
     return np.concatenate([points[:-2], finer[0]]), np.concatenate([tangents[:-2], finer[1]]), finer[2]
@@ -115,7 +121,7 @@ def warm_up(membrane: Membrane) -> None:
     nothing = np.zeros(3)
 
     def trace_nothing():
-        limits, grid = np.ones(5), (_TRACE_STEPS[0], np.array(_TOPS[0]))
+        limits, grid = np.ones(5), (_TRACE_STEPS[0], np.array(_TOPS[0]), 1.0)
         _trace_program(membrane.material, membrane.prestretch, contour, limits, nothing, nothing, False, *grid, _STEPS)
 
     compile_ahead(membrane, (trace_nothing,))

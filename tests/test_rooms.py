@@ -20,6 +20,7 @@ ROOMS = [
     "chart",
     "sheet",
     "surface",
+    "contours",
     "ensemble",
     "continuation",
     "tracing",
