@@ -311,7 +311,10 @@ def scan(membrane: Membrane, stretches, loads, refinement: int = _REFINEMENT) ->
         even = np.linspace(0.0, 1.0, 6 * _NODES[2])
         moving = _columns(places, *_mapped(membrane, apex, t), even)
         smooth = make_interp_spline(even, moving, k=3, axis=1)
-        values = [smooth(_places(rows, first, cliff(v))) @ row for v, row in zip(own_t, matrix, strict=True)]
+        values = [
+            smooth(_places(rows, first, cliff(v))) @ row
+            for v, row in zip(np.asarray(own_t), np.asarray(matrix), strict=True)
+        ]
         parts.append(np.stack(values, axis=2)[..., 1 if plain else 0 :])
         fine_t.append(own_t[1 if plain else 0 :])
     field, fine_t = np.concatenate(parts, axis=2), np.concatenate(fine_t)

@@ -99,18 +99,18 @@ def trace(
     steps: Steps = Steps(),
     linearise: Callable | None = None,
     monitors: Callable | None = None,
-    largest: typing.Any = None,
+    lengths: typing.Any = None,
     active: typing.Any = True,
 ) -> Trace:
     """Follows the curve through `start` on the side of `direction` until a margin turns negative or it closes.
 
     `margins(u, args)` returns one number for each of `codes`, positive inside the box; both sides of every variable
     belong in it. `linearise(u, args)` gives value and Jacobian where a cheaper way than jacfwd of `residual` is known.
-    `monitors(u, args)` returns quantities that may change by at most
-    `most_change` a step, such as the logarithm of the distance to a point at which folds accumulate. `largest` is a step
-    length in place of that of `steps`, without compiling anew. `start` need only be
-    within the largest step of the curve: a lane that meets it farther away ends at once. `active=False` ends the lane at
-    once too (padding). Under `jax.vmap` every lane has its own step.
+    `monitors(u, args)` returns quantities that may change by at most `most_change` a step, such as the logarithm of the
+    distance to a point at which folds accumulate. `lengths` holds the smallest and largest step in place of those of
+    `steps`, and how far from `start` the curve may be met (by default the largest step), without compiling anew; a lane
+    that meets the curve farther away ends at once. `active=False` ends the lane at once too (padding). Under `jax.vmap`
+    every lane has its own step.
 
     >>> import jax.numpy as jnp
     >>> circle = lambda u, args: jnp.array([u @ u - 1.0])
@@ -121,7 +121,7 @@ def trace(
     """
     n = start.shape[0]
     start = jnp.asarray(start, float)
-    largest = steps.largest if largest is None else largest
+    smallest, largest, farthest = (steps.smallest, steps.largest, steps.largest) if lengths is None else lengths
 
     def linear(v):
         if linearise is not None:
@@ -186,7 +186,7 @@ def trace(
         straight = (
             (change <= steps.most_change) & (turn <= steps.most_turn) & (offset <= steps.most_correction * s["step"])
         )
-        straight = jnp.where(first, offset <= largest, straight)
+        straight = jnp.where(first, offset <= farthest, straight)
         finite = jnp.all(jnp.isfinite(corrected)) & jnp.all(jnp.isfinite(tangent))
         accept = finite & settled & straight
         failing = ~finite | (settled & ~straight) | (size > 0.5 * s["last"]) | (s["tries"] >= 6)
@@ -214,7 +214,7 @@ def trace(
             0.5 * steps.most_turn / (turn + 1e-12), 0.5 * steps.most_correction * s["step"] / (offset + 1e-300)
         )
         ease = jnp.minimum(ease, (0.6 * steps.most_change / (change + 1e-12)) ** 2)
-        grown = jnp.clip(s["step"] * jnp.clip(jnp.sqrt(ease), 0.5, 2.0), steps.smallest, largest)
+        grown = jnp.clip(s["step"] * jnp.clip(jnp.sqrt(ease), 0.5, 2.0), smallest, largest)
         step = jnp.where(accept, jnp.where(first, steps.first, grown), jnp.where(failing, 0.5 * s["step"], s["step"]))
         base = jnp.where(accept, corrected, s["base"])
         ahead = jnp.where(accept, tangent, s["tangent"])
@@ -228,7 +228,7 @@ def trace(
         code = jnp.where(count >= steps.most_points, int(Code.too_many_points), code)
         code = jnp.where(accept & closed, int(Code.closed), code)
         code = jnp.where(accept & outside, jnp.asarray([int(c) for c in codes])[which], code)
-        code = jnp.where(failing & (first | (step < steps.smallest)), int(Code.step_too_small), code)
+        code = jnp.where(failing & (first | (step < smallest)), int(Code.step_too_small), code)
         new = dict(
             base=base,
             tangent=ahead,

@@ -21,8 +21,8 @@ __all__ = ["Located", "fold_events", "locate", "special_points"]
 
 _ROUNDS = 16
 # changes of the share of an interval at which the line through the last two trials takes a root the rest of the way, and
-# at which nothing is left to do
-_CLOSE, _EXACT = 1e-6, 1e-10
+# at which nothing is left to do; and between them that at which the slopes of the neighbours do as well as a last trial
+_CLOSE, _EXACT, _SMALL = 1e-6, 1e-10, 2e-7
 
 
 @dataclasses.dataclass
@@ -69,7 +69,7 @@ def fold_events(kind: str, solver, curve: Curve, tolerance: float) -> Curve:
             break
         i = np.flatnonzero(hidden)
         middle = solve_between(solver, curve.points, i, np.full(len(i), 0.5), tolerance=tolerance)
-        ok = np.flatnonzero(middle.ok)
+        ok = np.flatnonzero(middle.ok & (middle.error <= tolerance))
         place = np.concatenate([np.arange(len(curve.points)), i[ok] + 0.5])
         points = Points.join([curve.points, middle.take(ok)]).take(np.argsort(place, kind="stable"))
         gap = np.linalg.norm(np.diff(scaled(points.u.T), axis=0), axis=1)
@@ -180,8 +180,10 @@ def _predict(curve: Curve, kind: str, interval: int, target: float):
     return chord if centred is None else root(centred)
 
 
-def _fold_share(curve: Curve, kind: str, interval: int) -> float | None:
-    """Share of the interval at which q (or p) turns, from ten neighbours; None where they do not run one way.
+def _fold_share(curve: Curve, kind: str, interval: int) -> tuple[float, float] | None:
+    """Share of the interval at which q (or p) turns, and the slope of the tangent's component there by the share.
+
+    From ten neighbours; None where they do not run one way.
 
     Their coordinates are exact and analytic in each other, while tangents carry the error of Newton's grid.
     """
@@ -201,16 +203,19 @@ def _fold_share(curve: Curve, kind: str, interval: int) -> float | None:
         return None
     chord = x[i + 1] - x[i]
     root = root_scalar(slope, bracket=(s[i], s[i + 1]), xtol=1e-13).root
-    at = np.array([f(root) for f in line])
-    return float((at - x[i]) @ chord / (chord @ chord))
+    at, rate = (np.array([f(root) for f in lines]) for lines in (line, [f.deriv() for f in line]))
+    per_share = (chord @ chord) / (rate @ chord)
+    return float((at - x[i]) @ chord / (chord @ chord)), float(
+        slope.deriv()(root) / np.linalg.norm(rate) * per_share * np.sign(per_share)
+    )
 
 
-def _shifted(curve: Curve, interval: int, point: Points, move: float) -> Points:
-    """The state of one lane moved by a small share of the interval, along its tangent and its neighbours' slopes."""
+def _shifted(curve: Curve, interval: int, point: Points, share: float, move: float) -> Points:
+    """The state of one lane at a share of the interval moved a little, along its tangent and its neighbours' slopes."""
     first = min(max(interval - 1, 0), len(curve.points) - 4)
     gap = curve.position[interval + 1] - curve.position[interval]
     x = (curve.position[first : first + 4] - curve.position[interval]) / gap
-    weights = np.linalg.solve(np.vander(x, increasing=True).T, [0.0, 1.0, 1.0, 0.75])  # of the slope in the middle
+    weights = np.linalg.solve(np.vander(x, increasing=True).T, [0.0, 1.0, 2 * share, 3 * share**2])
     chord = scaled(curve.points.u[:, interval + 1] - curve.points.u[:, interval])
     rate = gap * gap / (point.tangent[0] @ chord)
     moved = {"u": point.u + move * rate * (point.tangent * SCALE).T}
@@ -267,8 +272,8 @@ def _locate_roots(solver, curves, wanted, tolerance, near: dict):
     f_low, f_high = values(ends.take(first), lanes), values(ends.take(first + 1), lanes)
     share, slope = np.array([_predict(curves[b], kind, i, target) for kind, b, i, target in wanted]).T
     for n, (kind, branch, i, _) in enumerate(wanted):
-        better = _fold_share(curves[branch], kind, i) if "fold" in kind else None
-        share[n] = share[n] if better is None else better
+        if "fold" in kind and (better := _fold_share(curves[branch], kind, i)) is not None:
+            share[n], slope[n] = better
         if wanted[n] in near:
             share[n] = (near[wanted[n]].position - curves[branch].position[i]) / gap[n]
     last, f_last = np.full(len(wanted), np.nan), np.full(len(wanted), np.nan)
@@ -303,7 +308,8 @@ def _locate_roots(solver, curves, wanted, tolerance, near: dict):
         change[active] = np.abs(new - at)
         for k, n in enumerate(active):
             trials[n] = [*trials[n][-1:], found.take(np.array([k]))]
-        done = change[active] < np.where(np.isfinite(last[active]) | smooth[active], _CLOSE, _EXACT)
+        first_try = np.where(smooth[active], _SMALL, _EXACT)
+        done = change[active] < np.where(np.isfinite(last[active]), _CLOSE, first_try)
         for k in np.flatnonzero(done):
             n = active[k]
             if len(trials[n]) > 1 and change[n] > _EXACT:
@@ -313,7 +319,7 @@ def _locate_roots(solver, curves, wanted, tolerance, near: dict):
                 change[n] *= abs(at[k] - last[n]) + change[n]
             elif change[n] > _EXACT:
                 _, branch, i, _ = wanted[n]
-                trials[n][-1] = _shifted(curves[branch], i, trials[n][-1], new[k] - at[k])
+                trials[n][-1] = _shifted(curves[branch], i, trials[n][-1], at[k], new[k] - at[k])
                 share[n] = new[k]
                 change[n] *= 1e-2  # slopes are right to a few digits
         last[active], f_last[active] = at, f

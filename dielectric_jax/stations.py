@@ -15,6 +15,7 @@ _MOST_TURN = 0.3
 _CONE_WEIGHT = 0.7
 _THIN = 0.7  # load fraction from which an inner layer forms near lock-up
 _MOST_APPROACH = 0.15  # change of log(1 − t) between neighbours; folds near the cone are about 1.2 apart
+_ASTRAY = 0.1
 _WIDEST_HOLE = 4  # stations lost in a row
 _LOST = SCANNED_LOAD - 0.01  # a branch that ends below this load, inside its window, is looked for once more
 
@@ -104,11 +105,14 @@ def _stations(solver, line, tangents, count, tolerance, chart) -> tuple[Points, 
     target = (normal * at).sum(axis=1)
     points = solver.polish((at * SCALE).T, normal / SCALE, target, tolerance=tolerance, reach=0.5)
     points.tangent = points.tangent * np.where((points.tangent * normal).sum(axis=1) < 0, -1.0, 1.0)[:, None]
+    # one that went astray has left its place by more than its neighbours are apart
+    apart = np.linalg.norm(np.diff(at, axis=0, prepend=2 * at[:1] - at[1:2]), axis=1)
+    near = np.linalg.norm(scaled(points.u.T) - at, axis=1) <= np.maximum(_ASTRAY, apart)
     # within the scanned loads rounding at the flat end may exceed the tolerance: such points stay, with a flag
     fair = (points.error <= tolerance) | (
         (load_fraction(solver.membrane, points.u) <= SCANNED_LOAD) & (points.error < 1e-6)
     )
-    return points, points.ok & fair
+    return points, points.ok & fair & near
 
 
 def exact_curve(solver, line, tangents, codes, count, tolerance, chart, retrace: Callable) -> tuple[Curve | None, bool]:

@@ -19,17 +19,19 @@ __all__ = ["run_trace", "run_traces", "warm_up"]
 
 # towards lock-up the rim condition is a wall: a small step of Newton may begin far beyond it
 _STEPS = Steps(
-    first=0.05, largest=1.0, smallest=1e-6, most_turn=0.35, most_correction=0.2, tolerance=1e-4, most_residual=0.1
+    first=0.05, largest=1.0, smallest=2e-5, most_turn=0.35, most_correction=0.2, tolerance=1e-4, most_residual=0.1
 )
 # grids of the continuation, and the load fractions up to which each is used, near lock-up (an inner layer forms) and
 # elsewhere (towards the cone); the last is the last resort
 _TRACE_STEPS = (10.0, 24.0, 48.0, 160.0)
 _TOPS = ((0.7, 0.85), (0.82, 0.97), (2.0, 2.0), (2.0, 2.0))
 _TOP_NEAR_LOCK_UP = 0.94
+_FLAT = 0.01  # of λa − λ0
+_RESTART = 0.1  # how far a finer grid may move a point of a coarser one
 
 
 @functools.partial(jax.jit, static_argnames="steps")
-def _trace_program(material, prestretch, contour, limits, seed, direction, active, accuracy, tops, largest, steps):
+def _trace_program(material, prestretch, contour, limits, seed, direction, active, accuracy, tops, lengths, steps):
     def linearise(u, args):
         material, prestretch, contour, accuracy = args
         lag, volume, columns = rim_with_columns(material, u, accuracy)
@@ -72,7 +74,7 @@ def _trace_program(material, prestretch, contour, limits, seed, direction, activ
         steps=steps,
         linearise=linearise,
         monitors=lambda u, args: jnp.log(jnp.maximum(1 - u[2] / largest_load(args[0], u[0]), 1e-6)),
-        largest=largest,
+        lengths=lengths,
         active=active,
     )
 
@@ -92,24 +94,26 @@ def run_trace(membrane, contour, limits, seed, direction, *, level=0, largest=_S
     `largest` bounds the step; a shorter one tells branches apart that nearly meet.
     """
     level %= len(_TRACE_STEPS)
-    points, tangents, code = _run_trace(
-        membrane, contour, limits, np.asarray(seed), np.asarray(direction), level, largest
-    )
+    start = np.asarray(seed), np.asarray(direction)
+    points, tangents, code = _run_trace(membrane, contour, limits, *start, level, largest, _STEPS.largest)
     return points, tangents / SCALE, code
 
 
-def _run_trace(membrane, contour, limits, seed, direction, level, largest):
+def _run_trace(membrane, contour, limits, seed, direction, level, largest, farthest):
     """One trace; where it leaves the region its grid resolves it goes on from there on the finer grid."""
-    grid = _TRACE_STEPS[level], np.array(_TOPS[level]), largest
+    # at the flat end everything shrinks with λa − λ0; elsewhere a shorter step only meets the noise about a cone
+    flat = seed[0] - float(membrane.prestretch) < _FLAT
+    lengths = np.array([_STEPS.smallest * (1e-2 if flat else 1.0), largest, farthest])
+    grid = _TRACE_STEPS[level], np.array(_TOPS[level]), lengths
     done = _trace_program(membrane.material, membrane.prestretch, contour, limits, seed, direction, True, *grid, _STEPS)
     count, code = int(done.count), Code(int(done.code))
     points, tangents = np.asarray(done.points)[:count], np.asarray(done.tangents)[:count]
     if code not in (Code.beyond_tolerance, Code.step_too_small) or level + 1 == len(_TRACE_STEPS):
         return points, tangents, code
     if count <= 1:  # it never began
-        return _run_trace(membrane, contour, limits, seed, direction, level + 1, largest)
+        return _run_trace(membrane, contour, limits, seed, direction, level + 1, largest, farthest)
     # on from the last point inside
-    finer = _run_trace(membrane, contour, limits, points[-2], tangents[-2], level + 1, largest)
+    finer = _run_trace(membrane, contour, limits, points[-2], tangents[-2], level + 1, largest, _RESTART)
     if len(finer[0]) < 2:
         return points[:-1], tangents[:-1], Code.step_too_small
     return np.concatenate([points[:-2], finer[0]]), np.concatenate([tangents[:-2], finer[1]]), finer[2]
@@ -121,7 +125,7 @@ def warm_up(membrane: Membrane) -> None:
     nothing = np.zeros(3)
 
     def trace_nothing():
-        limits, grid = np.ones(5), (_TRACE_STEPS[0], np.array(_TOPS[0]), 1.0)
+        limits, grid = np.ones(5), (_TRACE_STEPS[0], np.array(_TOPS[0]), np.ones(3))
         _trace_program(membrane.material, membrane.prestretch, contour, limits, nothing, nothing, False, *grid, _STEPS)
 
     compile_ahead(membrane, (trace_nothing,))
