@@ -158,7 +158,9 @@ def _parser() -> _Parser:
     filling.add_argument("--initial-pressure", type=_not_negative, metavar="P0", help="… or as a pressure")
     scene.add_argument("--atmospheric-pressure", type=_not_negative, metavar="PATM", help="pressure outside (50)")
     scene.add_argument("--polytropic-exponent", type=_positive, metavar="N", help="1 is isothermal (1)")
-    scene.add_argument("--engine", choices=["continuation"], default="continuation", help="how it is computed")
+    scene.add_argument(
+        "--engine", choices=["continuation", "surface"], default="continuation", help="how it is computed"
+    )
     return parser
 
 

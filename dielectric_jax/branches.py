@@ -116,7 +116,7 @@ def _traced(membrane, contour, limits, contours, known: list, chart: Scan, round
     top = chart.load_fraction[-1]
     pending = [c for c in contours if _long_enough(membrane, c)]
     if known:
-        pending = [part for c in pending if (part := _uncovered(membrane, c, shadows, top)) is not None]
+        pending = [part for c in pending if (part := _uncovered(membrane, c, shadows, top, 0.0)) is not None]
     # a coarse grid or a long step may join branches that nearly meet: what is still uncovered is tried on finer ones
     for level, largest in tuple(enumerate(_LARGEST))[:rounds]:
         seeds, headings = [], []
@@ -199,14 +199,14 @@ def _join(ahead, behind):
     return line, tangents, (behind[2], ahead[2])
 
 
-def _uncovered(membrane, vertices, shadows, top):
+def _uncovered(membrane, vertices, shadows, top, margin=0.02):
     """The longest run of a contour's vertices that no traced line comes near, or None."""
     here = _on_chart(membrane, vertices)
     away = np.full(len(vertices), np.inf)
     for shadow in shadows:
         away = np.minimum(away, np.repeat(_distance_to_polyline(here[::_THIN], shadow), _THIN)[: len(here)])
     # the last of the scanned loads is left out: a contour there may be an error of interpolation
-    far = (away > _NEAR) & (here[:, 1] < 10 * (top - 0.02))
+    far = (away > _NEAR) & (here[:, 1] < 10 * (top - margin))
     if not far.any():
         return None
     edges = np.flatnonzero(np.diff(np.concatenate([[0], far.view(np.int8), [0]])))

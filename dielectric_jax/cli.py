@@ -51,13 +51,13 @@ def _scene(dj: Any, args: argparse.Namespace) -> Any:
     return dj.Scene(membrane=_membrane(dj, args), loading=loading, window=_window(dj, args))
 
 
-def _curves(dj: Any, args: argparse.Namespace, membrane: Any, voltages: Sequence[float]) -> list[Any]:
-    curves, window = [], _window(dj, args)
+def _curves(
+    dj: Any, args: argparse.Namespace, membrane: Any, voltages: Sequence[float], surface: Any = None
+) -> list[Any]:
+    curves, options = [], {"points": args.points, "tolerance": args.tolerance, "window": _window(dj, args)}
     for voltage in voltages:
         _say(f"pressure–volume curve at voltage {voltage:.6g} …")
-        curves.append(
-            dj.pressure_volume(membrane, voltage=voltage, points=args.points, tolerance=args.tolerance, window=window)
-        )
+        curves.append(dj.pressure_volume(membrane, voltage=voltage, surface=surface, **options))
     return curves
 
 
@@ -104,8 +104,12 @@ def _run_pressure_volume(dj: Any, args: argparse.Namespace) -> tuple[dict, Calla
 
 def _run_voltage_volume(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
     scene = _scene(dj, args)
+    surface = None
+    if args.engine == "surface":
+        _say("surface of the membrane …")
+        surface = dj.Surface.build(scene.membrane)
     _say("voltage–volume diagram …")
-    diagram = dj.voltage_volume(scene, points=args.points, tolerance=args.tolerance)
+    diagram = dj.voltage_volume(scene, points=args.points, tolerance=args.tolerance, surface=surface)
 
     def draw() -> Any:
         from .plotting import chamber_voltages, plot_chamber
@@ -113,7 +117,7 @@ def _run_voltage_volume(dj: Any, args: argparse.Namespace) -> tuple[dict, Callab
         curves = []
         for voltage in chamber_voltages(diagram):
             try:
-                curves += _curves(dj, args, scene.membrane, [voltage])
+                curves += _curves(dj, args, scene.membrane, [voltage], surface)
             except SceneError:
                 # a flat film holds voltages at which no inflated state is left: there is no curve to draw
                 continue

@@ -19,7 +19,7 @@ from .ramp import build_ramp, build_way_back, flat_ramp
 from .records import Branch, Ramp, SpecialPoint, State, plain
 from .results import Code, SceneError
 from .scene import SCANNED_LOAD, Scene, Window, describe
-from .states import check_concrete, check_request, flat_state, states_of, too_flat
+from .states import check_concrete, check_request, check_surface, flat_state, states_of, too_flat
 from .states import filling as filling_of
 from .stations import Curve
 from .surface import Surface
@@ -193,11 +193,8 @@ def _branch(curve: Curve, tolerance: float, points: int, more_flags: tuple) -> B
 
 def _solver(membrane: Membrane, contour: Contour, surface: Surface | None) -> Shooting | OnSurface:
     """The engine of a diagram."""
-    if surface is None:
-        return Shooting(membrane, contour)
-    if not isinstance(surface, Surface) or not surface.belongs_to(membrane):
-        raise ValueError(f"`surface` must be built for the membrane of the scene, but is {surface!r}.")
-    return OnSurface(surface, contour)
+    check_surface(surface, membrane)
+    return Shooting(membrane, contour) if surface is None else OnSurface(surface, contour)
 
 
 def _solve(solver, limits, kinds, points, tolerance, certify: bool, extend: bool) -> tuple[Solved, bool]:

@@ -17,6 +17,7 @@ from .membrane import Membrane, require_float64
 from .records import State, voltage_of
 from .results import Code, SceneError, check_positive
 from .scene import Scene, Window
+from .surface import Surface
 
 __all__ = ["equilibrium", "filling", "flat_state", "states_of"]
 
@@ -27,6 +28,11 @@ def check_request(points: int, tolerance: float) -> None:
     if not (math.isfinite(tolerance) and 1e-12 <= tolerance <= 1e-3):
         raise ValueError(f"`tolerance` must lie between 1e-12 and 0.001, but is {tolerance!r}.")
     require_float64()
+
+
+def check_surface(surface, membrane: Membrane) -> None:
+    if surface is not None and not (isinstance(surface, Surface) and surface.belongs_to(membrane)):
+        raise ValueError(f"`surface` must be built for the membrane of the scene, but is {surface!r}.")
 
 
 def check_concrete(scene) -> None:
@@ -163,10 +169,12 @@ def equilibrium(
     all: bool = False,
     tolerance: float = 1e-9,
     window: Window | None = None,
+    surface: Surface | None = None,
 ) -> typing.Any:
     """The equilibrium at a voltage and one of pressure, volume or apex stretch: the one of smallest volume, stable or not.
 
-    With `all=True` a list of every one in the window, ordered by volume. The index is that of prescribed pressure.
+    With `all=True` a list of every one in the window, ordered by volume. The index is that of prescribed pressure. A
+    `surface` of the membrane gives the starts inside its domain, which shooting makes exact; the explicit map the others.
     Raises ValueError for bad input and SceneError where there is none.
 
     >>> state = equilibrium(Membrane(), voltage=0.0, volume=2.42)
@@ -197,7 +205,8 @@ def equilibrium(
     if (name == "apex_stretch" and wanted == prestretch) or wanted == 0:
         return _flat_equilibrium(membrane, float(voltage), all)
     contour = scene.loading.contour()
-    found = _starts(membrane, float(voltage) ** 2, name, wanted, limits)
+    check_surface(surface, membrane)
+    found = _starts(membrane, float(voltage) ** 2, name, wanted, limits, surface)
     states: list[State] = []
     if found.size:
         rows = {"apex_stretch": [1.0, 0, 0], "pressure": [0, 1.0, 0], "volume": [np.nan] * 3}[name]
@@ -229,7 +238,20 @@ def _flat_equilibrium(membrane: Membrane, voltage: float, every: bool):
     return [state] if every else state
 
 
-def _starts(membrane, q, name, wanted, limits) -> np.ndarray:
+def _line_states(membrane: Membrane, apex, fraction, surface: Surface | None):
+    """p, V and the map's mark of validity at points (λa, t): by the surface in its domain, by the explicit map elsewhere."""
+    values = np.full((3, len(apex)), np.nan)
+    if surface is not None:
+        values[:2] = surface.at_load_fraction(apex, fraction, ("pressure", "volume"))
+        values[2] = -1.0
+    rest = ~np.isfinite(values).all(axis=0)
+    if rest.any():
+        rim = float(membrane.prestretch)
+        values[:, rest] = map_nodes(membrane.material, apex[rest], fraction[rest], rim, 96.0)
+    return values
+
+
+def _starts(membrane, q, name, wanted, limits, surface=None) -> np.ndarray:
     """Guesses (3, n) for every state at load q with the wanted value, from the explicit map on a line of the chart."""
     (low, high), _, loads = limits
     prestretch = float(membrane.prestretch)
@@ -242,7 +264,7 @@ def _starts(membrane, q, name, wanted, limits) -> np.ndarray:
     inside = (fraction <= top) & (fraction >= loads[0])
     if not inside.any():
         return np.zeros((3, 0))
-    pressure, volume, slope = map_nodes(membrane.material, apex[inside], fraction[inside], prestretch, 96.0)
+    pressure, volume, slope = _line_states(membrane, apex[inside], fraction[inside], surface)
     apex = apex[inside]
     ok = (slope < 0) & np.isfinite(pressure) & np.isfinite(volume) & (pressure > 0) & (volume > 0)
     rows = np.flatnonzero(inside)[ok]

@@ -94,8 +94,8 @@ def clip_to_window(line, tangents, inside, end):
     tangents[end] /= np.linalg.norm(tangents[end])
 
 
-def _stations(solver, line, tangents, count, tolerance, chart) -> tuple[Points, np.ndarray]:
-    """Exact points at stations of a traced line (scaled), and which of them are good."""
+def _stations(solver, line, tangents, count, tolerance, chart) -> tuple[Points, np.ndarray, np.ndarray]:
+    """Exact points at stations of a traced line (scaled), which of them are good, and the loads where they were sought."""
     at, normal = _resample(solver.membrane, line, tangents, count)
     # at the flat end p falls like a power of λa − λ0, which no Hermite cubic follows: start on the scan
     flat = at[:, 0] - float(solver.membrane.prestretch) < 0.02
@@ -112,7 +112,7 @@ def _stations(solver, line, tangents, count, tolerance, chart) -> tuple[Points, 
     fair = (points.error <= tolerance) | (
         (load_fraction(solver.membrane, points.u) <= SCANNED_LOAD) & (points.error < 1e-6)
     )
-    return points, points.ok & fair & near
+    return points, points.ok & fair & near, load_fraction(solver.membrane, (at * SCALE).T)
 
 
 def exact_curve(solver, line, tangents, codes, count, tolerance, chart, retrace: Callable) -> tuple[Curve | None, bool]:
@@ -121,7 +121,7 @@ def exact_curve(solver, line, tangents, codes, count, tolerance, chart, retrace:
     `retrace(u, direction)` follows the branch from an exact point on the finest grid: a scaled line, its tangents and the
     code of its end. It is used where stations are lost inside the scanned window.
     """
-    points, good = _stations(solver, line, tangents, count, tolerance, chart)
+    points, good, sought = _stations(solver, line, tangents, count, tolerance, chart)
     if good.sum() < 2:
         return None, False
     kept = np.flatnonzero(good)
@@ -129,7 +129,9 @@ def exact_curve(solver, line, tangents, codes, count, tolerance, chart, retrace:
     points, gaps = points.take(kept), np.flatnonzero(np.diff(kept) > 1)
     # beyond the scanned loads a lost station is missed only where the refinement below wants it
     gaps = gaps[load_fraction(solver.membrane, points.u)[gaps] < SCANNED_LOAD]
-    hole = (np.diff(kept)[gaps] > _WIDEST_HOLE).any()
+    lost = ~good & (sought < SCANNED_LOAD)
+    lost[: kept[0]] = lost[kept[-1] :] = False
+    hole = any(len(run) >= _WIDEST_HOLE and run.all() for run in np.split(lost, np.flatnonzero(np.diff(lost)) + 1))
     flags = []
     if len(gaps):  # lanes that Newton lost between good ones: once more, from better starts
         before = len(points)
@@ -185,7 +187,7 @@ def _extend(solver, points, end, count, tolerance, chart, retrace) -> tuple[Poin
     line, tangents, code = retrace(points.u[:, -1], points.tangent[-1] * SCALE)
     if len(line) < 3:
         return points, None
-    more, good = _stations(solver, line, tangents, count, tolerance, chart)
+    more, good, _ = _stations(solver, line, tangents, count, tolerance, chart)
     reached = int(np.argmin(np.append(good[1:], False)))  # good stations in a row after the first, which is known
     more = more.take(np.arange(1, reached + 1))
     joined = Points.join([points, more]) if reached else points
