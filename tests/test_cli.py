@@ -115,6 +115,20 @@ def test_what_the_library_refuses_names_the_option(capsys, argv, option, said):
     assert option in sentence and said in sentence and "`" not in sentence
 
 
+def test_the_engine_surface_gives_the_same_document(tmp_path):
+    documents = {}
+    for engine in ("continuation", "surface"):
+        assert main([*CHAMBER, "--engine", engine, "--json", str(tmp_path / engine)]) == 0
+        documents[engine] = json.loads((tmp_path / engine).read_text(encoding="utf-8"))
+        assert documents[engine]["engine"] == engine
+    ours, theirs = documents["surface"], documents["continuation"]
+    assert ours.keys() == theirs.keys() and ours["complete"] and ours["scene"] == theirs["scene"]
+    assert ours["area_strain"] == pytest.approx(theirs["area_strain"], rel=1e-8)
+    assert [p["kind"] for p in ours["special_points"]] == [p["kind"] for p in theirs["special_points"]]
+    for a, b in zip(ours["special_points"], theirs["special_points"], strict=True):
+        assert a["voltage_squared"] == pytest.approx(b["voltage_squared"], rel=1e-8, abs=1e-11)
+
+
 @pytest.mark.parametrize(
     ("argv", "code"),
     [

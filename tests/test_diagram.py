@@ -532,3 +532,40 @@ def test_flat_end_of_a_pressure_volume_curve(curve):
     branch = curve(0.0).branches[0]
     assert branch.start is dj.Code.window_stretch and branch.end is dj.Code.lock_up
     assert branch.volume[0] < 0.02 and (np.diff(branch.volume) > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("prestretch", "limit", "loading", "stretch", "pressure"),
+    [
+        # the tongue of a branch that reaches down to t = 0.887 at the cliff of the pressure
+        (1.1875613993405114, 495.4295954252201, (27.596056266589027, 1.3123971815451052), 13.80991847, 0.68590719),
+        # a branch that passes another one closely
+        (2.9582343078895965, 556.676718357814, 0.4923181131294612, 13.69559259, 0.49231811),
+        # and one on which a finer grid once went over to another branch
+        (1.0433649474478353, 973.3212420954831, (101.50689913134966, 1.4154875689869317), 19.26652270, 1.24919879),
+    ],
+)
+def test_branches_at_the_cliff_before_lock_up(prestretch, limit, loading, stretch, pressure):
+    """States that SciPy's adaptive map, or shooting in long double, puts on the loading's contour lie on a branch."""
+    held = dj.Chamber(loading[0], loading[1]) if isinstance(loading, tuple) else dj.ConstantPressure(loading)
+    found = dj.voltage_volume(dj.Scene(dj.Membrane(dj.Gent(limit), prestretch), held))
+    assert found.complete and len(found.branches) == 2
+    (branch,) = [b for b in found.branches if b.apex_stretch.min() <= stretch <= b.apex_stretch.max()][-1:]
+    away = np.hypot(branch.apex_stretch - stretch, (branch.pressure - pressure) / 0.2)
+    assert away.min() < 0.1
+    # nothing jumps: the turn from point to point is small
+    x = np.stack([branch.apex_stretch, branch.pressure / 0.2, branch.voltage_squared / 0.02], axis=1)
+    way = np.diff(x, axis=0)
+    length = np.linalg.norm(way, axis=1)
+    assert ((way[1:] * way[:-1]).sum(axis=1) / (length[1:] * length[:-1])).min() > 0.8
+
+
+@pytest.mark.parametrize("voltage", [0.02, 0.05])
+def test_small_voltages_shrink_everything_at_the_flat_end(curve, voltage):
+    """Without prestretch the curve begins at a cone of λa − 1 ≈ Φ²/6, where q_max(λa) = 6 (λa − 1) vanishes."""
+    found = curve(voltage)
+    assert found.complete and len(found.branches) == 1
+    branch = found.branches[0]
+    assert branch.start is dj.Code.apex_cone and branch.end is dj.Code.lock_up
+    fraction = branch.voltage_squared[0] / (6 * (branch.apex_stretch[0] - 1))
+    assert 0.88 < fraction < 1
