@@ -458,8 +458,8 @@ def compare(scene: dict, chart: Chart, condition, diagram) -> dict:
             hard = inner(drawn[k]["load_fraction"], drawn[k]["apex_stretch"])
             (wrong if hard else noted).append({"what": f"{drawn[k]['kind']} invented", "diagram": drawn[k]})
     invented = [w for w in wrong if w["what"].endswith("invented") or w["what"] == "number of branches"]
-    if invented and any(w["what"] == "branch invented" for w in noted):
-        # the scan erred somewhere; where the whole diagram is real, so is what the scan lacks
+    if invented:
+        # the scan erred somewhere, or is the coarser; where the whole diagram is real, so is what the scan lacks
         windows = [
             inner(b.voltage_squared / truth.largest_load(b.apex_stretch, chart.limit), b.apex_stretch)
             for b in diagram.branches
