@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from .chart import Scan, map_nodes, scan
-from .contours import OnSurface, surface_branches
+from .contours import OnSurface, margins, surface_branches
 from .equilibria import SCALE, largest_on, locking_stretch
 from .loading import Contour
 from .materials import largest_load
@@ -75,8 +75,7 @@ def find_curves(solver, limits, *, count: int, tolerance: float, extend: bool = 
     limits = np.array([*box, locking_stretch(membrane)])
 
     def inside(u):
-        fraction = u[2] / float(largest_load(membrane.material, u[0]))
-        return min(u[0] - box[0], box[1] - u[0], fraction - box[2], box[3] - fraction)
+        return margins(membrane, u, box).min()
 
     def follow(u, direction, **options):
         return run_trace(membrane, contour, limits, u, direction, **options)

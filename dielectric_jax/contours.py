@@ -23,7 +23,7 @@ from .results import Code
 from .scene import SCANNED_LOAD
 from .surface import ById, Surface
 
-__all__ = ["OnSurface", "surface_branches"]
+__all__ = ["OnSurface", "margins", "surface_branches"]
 
 _NEWTON = 8
 _CONVERGED = 1e-9  # size of the last move, in λa and t
@@ -144,7 +144,8 @@ class OnSurface:
     def complete(self, points: Points) -> Points:
         """The points of a branch, in order, with hoop tension, field and index of those the surface gave, by shots.
 
-        The index changes at the folds of q only: one shot between two folds tells it.
+        The index changes at the folds of the control only: one shot between two folds tells it; where none does, it
+        stays −1.
         """
         todo = np.flatnonzero(points.index < 0)
         if not len(todo):
@@ -158,16 +159,23 @@ class OnSurface:
             if len(which):
                 values = run_chunks(lambda part, n=ladder[1]: value_program(self.membrane, part, n), points.u[:, which])
                 points.hoop[which], points.field[which] = values[4:6]
-        rising = points.tangent[:, 2] > 0
+        control = points.tangent[:, self.contour.control]
+        rising = control > 0
         run = np.concatenate([[0], np.cumsum(rising[1:] != rising[:-1])])
         runs = [todo[run[todo] == k] for k in np.unique(run[todo])]
-        # where q changes fastest the index is clearest
-        best = np.array([which[np.argmax(np.abs(points.tangent[which, 2]))] for which in runs])
-        rows = points.tangent[best] / SCALE
-        shot = self.shooting.polish(points.u[:, best], rows, np.einsum("ij,ji->i", rows, points.u[:, best]))
-        for which, index in zip(runs, shot.index, strict=True):
+        # where the control changes fastest the index is clearest
+        shot = self._shoot(points, np.array([which[np.argmax(np.abs(control[which]))] for which in runs]))
+        for which, index, ok in zip(runs, shot.index, shot.ok, strict=True):
+            if not ok:
+                every = self._shoot(points, which)
+                index = every.index[np.argmax(every.ok)] if every.ok.any() else -1
             points.index[which] = index
         return points
+
+    def _shoot(self, points: Points, which: np.ndarray) -> Points:
+        """The points `which` by shooting, on planes across the branch."""
+        rows = points.tangent[which] / SCALE
+        return self.shooting.polish(points.u[:, which], rows, np.einsum("ij,ji->i", rows, points.u[:, which]))
 
 
 @functools.lru_cache(maxsize=16)
@@ -240,14 +248,14 @@ def surface_branches(solver: OnSurface, box: np.ndarray, follow: Callable | None
     links: dict[tuple, tuple] = {}
     tails: dict[tuple, tuple] = {}
     ends = [(k, side) for k in range(len(pieces)) for side in (0, -1)]
-    open_ends = [end for end in ends if _margins(solver, pieces[end[0]][0][end[1]], box).min() >= 0]
+    open_ends = [end for end in ends if margins(solver.membrane, pieces[end[0]][0][end[1]], box).min() >= 0]
     for end in open_ends:
         if end in links:
             continue
         k, side = end
         u, tangents = pieces[k]
         if follow is None:
-            near = _margins(solver, u[side], box).min() < _AT_EDGE
+            near = margins(solver.membrane, u[side], box).min() < _AT_EDGE
             tails[end] = u[:0], tangents[:0], _edge(solver, u[side], box) if near else Code.surface_edge
             continue
         outward = tangents[side] * (1.0 if side else -1.0)
@@ -297,16 +305,16 @@ def surface_branches(solver: OnSurface, box: np.ndarray, follow: Callable | None
     return branches
 
 
-def _margins(solver: OnSurface, u: np.ndarray, box: np.ndarray) -> np.ndarray:
-    """How far inside the edges of the window a point is; negative outside."""
-    fraction = u[2] / float(largest_load(solver.membrane.material, u[0]))
+def margins(membrane: Membrane, u: np.ndarray, box: np.ndarray) -> np.ndarray:
+    """How far inside the edges of the window (λa, λa, t, t) a point is; negative outside."""
+    fraction = u[2] / float(largest_load(membrane.material, u[0]))
     return np.array([u[0] - box[0], box[1] - u[0], fraction - box[2], box[3] - fraction])
 
 
 def _edge(solver: OnSurface, u: np.ndarray, box: np.ndarray) -> Code:
     """The edge of the window at which a branch ends."""
     codes = (Code.window_stretch, Code.lock_up, Code.window_load, Code.window_load)
-    return codes[int(np.argmin(_margins(solver, u, box)))]
+    return codes[int(np.argmin(margins(solver.membrane, u, box)))]
 
 
 def _windowed(solver: OnSurface, line: tuple, box: np.ndarray) -> list[tuple]:

@@ -107,14 +107,14 @@ def locate(solver, curves: list[Curve], wanted: list[tuple], tolerance: float, *
             )
             found[w].error = max(found[w].error, abs(float(seen - exact)) / max(abs(float(exact)), 1e-3))
         elif not certify:
-            found[w] = dataclasses.replace(root, point=_with_index(curves[w[1]], w[2], root))
+            found[w] = dataclasses.replace(root, point=_with_index(curves[w[1]], w[2], root, solver.contour.control))
     return list(found.values()), missed
 
 
-def _with_index(curve: Curve, interval: int, root: Located) -> Points:
+def _with_index(curve: Curve, interval: int, root: Located, control: int) -> Points:
     """The point of a root with what its neighbour on the same side of any fold knows: index and least hoop tension."""
     ends = curve.points.take(slice(interval, interval + 2))
-    same = root.point.tangent[0, 2] * ends.tangent[0, 2] > 0 or "fold" in root.kind
+    same = root.point.tangent[0, control] * ends.tangent[0, control] > 0 or "fold" in root.kind
     return dataclasses.replace(root.point, index=ends.index[[0 if same else 1]], hoop=ends.hoop[[0 if same else 1]])
 
 

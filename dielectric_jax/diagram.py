@@ -193,7 +193,6 @@ def _branch(curve: Curve, tolerance: float, points: int, more_flags: tuple) -> B
 
 def _solver(membrane: Membrane, contour: Contour, surface: Surface | None) -> Shooting | OnSurface:
     """The engine of a diagram."""
-    check_surface(surface, membrane)
     return Shooting(membrane, contour) if surface is None else OnSurface(surface, contour)
 
 
@@ -232,6 +231,7 @@ def pressure_volume(
     check_request(points, tolerance)
     scene = Scene(membrane, ConstantVoltage(voltage), window or Window())
     check_concrete(scene)
+    check_surface(surface, membrane)
     kinds = ("pressure_fold", "breakdown", "hoop_tension_loss")
     solver = _solver(membrane, scene.loading.contour(), surface)
     warm_up(membrane)
@@ -253,7 +253,7 @@ def voltage_volume(
     Arguments: `points` a branch; `tolerance` of the error estimate, from 1e-12 to 1e-3. With a `surface` of the scene's
     membrane, branches are contours on it, met by Newton without stepping; where they leave its domain shooting goes on,
     or with `extend=False` they end there. `certify` polishes special points by shooting; the correction is part of their
-    error.
+    error. Both mean nothing without a surface.
     Raises ValueError for bad input and SceneError where no tensile equilibrium lies in the window.
 
     >>> from dielectric_jax import Chamber
@@ -273,6 +273,7 @@ def voltage_volume(
         raise ValueError(
             "`loading` must be a Chamber or a ConstantPressure here, but is a ConstantVoltage; see pressure_volume."
         )
+    check_surface(surface, scene.membrane)
     limits = scene.limits()
     warm_up(scene.membrane)
     filling = filling_of(scene, tolerance)

@@ -51,6 +51,11 @@ class Contour(eqx.Module):
         pressure = self.gas_pressure(volume) + self.atmospheric_pressure
         return self.pressure_weight * self.exponent * pressure / (volume + self.chamber_volume)
 
+    @property
+    def control(self) -> int:
+        """Which of (λa, p, q) is the control, at whose folds the index changes: p where the voltage is held, else q."""
+        return 1 if float(self.load_weight) != 0 else 2
+
     def residual(self, pressure, volume, voltage_squared):
         """The condition; elementwise."""
         return self.pressure_weight * (pressure - self.gas_pressure(volume)) + self.load_weight * (

@@ -252,7 +252,7 @@ def _line_states(membrane: Membrane, apex, fraction, surface: Surface | None):
 
 
 def _starts(membrane, q, name, wanted, limits, surface=None) -> np.ndarray:
-    """Guesses (3, n) for every state at load q with the wanted value, from the explicit map on a line of the chart."""
+    """Guesses (3, n) for every state at load q with the wanted value, from a line of the chart."""
     (low, high), _, loads = limits
     prestretch = float(membrane.prestretch)
     share = stretch_shares(max((low - prestretch) / (high - prestretch), 1e-9), 640)

@@ -129,16 +129,19 @@ def exact_curve(solver, line, tangents, codes, count, tolerance, chart, retrace:
     points, gaps = points.take(kept), np.flatnonzero(np.diff(kept) > 1)
     # beyond the scanned loads a lost station is missed only where the refinement below wants it
     gaps = gaps[load_fraction(solver.membrane, points.u)[gaps] < SCANNED_LOAD]
-    lost = ~good & (sought < SCANNED_LOAD)
-    lost[: kept[0]] = lost[kept[-1] :] = False
-    hole = any(len(run) >= _WIDEST_HOLE and run.all() for run in np.split(lost, np.flatnonzero(np.diff(lost)) + 1))
+    missing = ~good & (sought < SCANNED_LOAD)
+    missing[: kept[0]] = missing[kept[-1] :] = False
+    runs = np.split(missing, np.flatnonzero(np.diff(missing)) + 1)
+    hole = any(run.all() and len(run) >= _WIDEST_HOLE for run in runs)
     flags = []
+    if hole:
+        flags.append("points_lost")
     if len(gaps):  # lanes that Newton lost between good ones: once more, from better starts
         before = len(points)
         points = _insert(solver, points, gaps, tolerance)
-        if len(points) < before + len(gaps):
+        if len(points) < before + len(gaps) and not hole:
             flags.append("points_lost")
-    codes, whole = list(codes), not hole
+    codes, whole = list(codes), True
     for end, lost in enumerate(ends_lost):
         if not lost:
             continue
@@ -149,6 +152,7 @@ def exact_curve(solver, line, tangents, codes, count, tolerance, chart, retrace:
         whole &= code is not None or bool(fraction >= _LOST)
     if not whole:
         flags.append("end_lost")
+    whole &= not hole
     if (points.error > tolerance).any():
         flags.append("error_above_tolerance")
     for _ in range(4):

@@ -1,5 +1,7 @@
 """Diagrams on a surface against continuation, which shares neither its states nor its branches, and what it refuses."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -34,6 +36,13 @@ def agree(found, expected, below=0.9):
         assert found.area_strain == pytest.approx(expected.area_strain, rel=1e-8)
     for a, b in zip(found.branches, expected.branches, strict=True):
         assert (a.start, a.end) == (b.start, b.end)
+        assert indices(a, membrane) == indices(b, membrane)
+
+
+def indices(branch, membrane, below=0.9):
+    """The index of one section after the other, as far as branches need to go."""
+    low = branch.voltage_squared < below * np.asarray(membrane.largest_load(branch.apex_stretch))
+    return [int(k) for k, _ in itertools.groupby(branch.index[low])]
 
 
 @pytest.mark.parametrize("volume", [100.0, 484.0, 1600.0, 25000.0])
@@ -86,8 +95,10 @@ def test_single_states(surface):
 
 def test_a_surface_of_another_membrane_is_refused(surface):
     scene = dj.Scene(dj.Membrane(prestretch=1.1), dj.ConstantPressure(1.0))
+    flat = dj.Scene(dj.Membrane(prestretch=1.1), dj.ConstantPressure(0.0))
     for ask in (
         lambda: dj.voltage_volume(scene, surface=surface),
+        lambda: dj.voltage_volume(flat, surface=surface),
         lambda: dj.pressure_volume(scene.membrane, 0.1, surface=surface),
         lambda: dj.equilibrium(scene.membrane, volume=2.0, surface=surface),
     ):
