@@ -16,6 +16,7 @@ import numpy as np
 import scipy.linalg
 from scipy.interpolate import make_interp_spline
 
+from .kept import kept_jit
 from .loading import Contour
 from .materials import AbstractMaterial, largest_load, stresses
 from .membrane import Membrane, apex_series, slopes
@@ -136,7 +137,7 @@ class Scan:
 _CHUNK = 640
 
 
-@jax.jit
+@kept_jit
 def _map_chunk(material, apex_stretch, load, prestretch, steps):
     return explicit_map(material, apex_stretch, load * largest_load(material, apex_stretch), prestretch, steps)
 

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .equilibria import LADDERS, LEAST_ESTIMATE, SCALE, Points, Shooting, difficulty, largest_on, load_fraction
+from .kept import kept_jit
 from .loading import Contour
 from .materials import largest_load
 from .membrane import Membrane, field_ratio_squared
@@ -34,7 +35,7 @@ _AT_EDGE = 1e-3
 _SAME = 0.1  # in scaled unknowns: a traced chord's distance from the branch, and more
 
 
-@jax.jit
+@kept_jit
 def _meet_program(surface: Surface, contour: Contour, lanes):
     """States on the contour and on planes: lanes (7, n) hold a start u, a row (NaN asks for a volume) and its target.
 

@@ -1,10 +1,10 @@
 """The shape and the fields along the membrane of one state, computed only when asked for."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
+from .kept import kept_jit
 from .materials import stresses
 from .membrane import Membrane, Profile
 from .records import State
@@ -13,7 +13,7 @@ from .shooting import integrate_membrane
 __all__ = ["energy", "profile", "scaling_defect"]
 
 
-@jax.jit
+@kept_jit
 def _profile_program(membrane, apex, pressure, q, steps):
     shot = integrate_membrane(membrane.material, apex, pressure, q, steps, outputs=True, trail="profile", heights=True)
     times, values, along = shot.trail

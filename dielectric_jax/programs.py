@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .kept import kept_jit
 from .materials import stresses
 from .membrane import Membrane, field_ratio_squared, slopes
 from .shooting import COLUMNS, eighth_order_step, integrate_membrane
@@ -18,7 +19,7 @@ __all__ = ["careful_program", "compile_ahead", "jacobian_program", "run_chunks",
 CHUNK = 32  # lanes of one call; one compiled program serves every count of points
 
 
-@jax.jit
+@kept_jit
 def jacobian_program(material, u, steps):
     """lag, V, their columns by (λa, p, q), and the number of zeros of ∂λ2/∂λa in 0 < R < 1."""
     apex, p, q = u
@@ -57,7 +58,7 @@ def _least_inside(values, rates):
 _BLOCK = 32  # steps of a trail that are searched together; only as many blocks as there are steps
 
 
-@jax.jit
+@kept_jit
 def careful_program(membrane, u, exponent):
     """lag, V, height and C = Q/Φ by adaptive steps."""
     apex, p, q = u
@@ -65,7 +66,7 @@ def careful_program(membrane, u, exponent):
     return shot.lag, shot.volume, shot.height, shot.charge
 
 
-@jax.jit
+@kept_jit
 def value_program(membrane, u, steps):
     """lag, V, height, C = Q/Φ, least σ2 and largest (E/E_EB)²/q along the membrane, stretches admissible."""
     apex, p, q = u

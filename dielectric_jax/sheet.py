@@ -16,11 +16,11 @@ p R*, V/R*³, z/R*, C/R*². The energy comes from the scaling identity at the ri
 import dataclasses
 import itertools
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from .chart import map_nodes
+from .kept import kept_jit
 from .materials import AbstractMaterial, largest_load, stresses
 from .membrane import Membrane, slopes
 from .programs import run_chunks
@@ -37,7 +37,7 @@ _ROUNDS = 7
 _FRESH = 6  # states of an element that measure its error
 
 
-@jax.jit
+@kept_jit
 def _sheet_program(material: AbstractMaterial, u, rim, steps):
     """p, V, z, C, U at (λa, q) from a pressure right to a few digits; u holds (λa, guess of p, q)."""
     apex, p, q = u

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .cache import cache_folder
+from .kept import of_this_package
 from .materials import largest_load
 from .membrane import Membrane
 from .results import check_positive
@@ -269,10 +270,7 @@ def _fingerprint(membrane: Membrane) -> np.ndarray:
 def _cached_path(membrane: Membrane, tolerance: float) -> pathlib.Path | None:
     """Where the surface of a membrane is kept; None with the cache off, or for a material outside this package."""
     folder = cache_folder()
-    package = __name__.split(".")[0]
-    own = all(type(part).__module__.split(".")[0] == package for part in (membrane.material, membrane.breakdown))
-    static = any(callable(v) for part in (membrane.material, membrane.breakdown) for v in vars(part).values())
-    if folder is None or not own or static:
+    if folder is None or not of_this_package(membrane):
         return None
     kinds = f"{_FORMAT} {type(membrane.material).__name__} {type(membrane.breakdown).__name__} {tolerance!r}"
     key = hashlib.sha256(kinds.encode() + _fingerprint(membrane).tobytes()).hexdigest()[:32]

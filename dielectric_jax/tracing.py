@@ -1,13 +1,11 @@
 """Continuation of a membrane's branches from many seeds at once, one compiled program for every loading."""
 
-import functools
-
-import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .continuation import Steps, trace
+from .continuation import Steps, Trace, trace
 from .equilibria import SCALE
+from .kept import kept_jit
 from .loading import ConstantVoltage
 from .materials import largest_load
 from .membrane import Membrane
@@ -30,8 +28,8 @@ _FLAT = 0.01  # of λa − λ0
 _RESTART = 0.1  # how far a finer grid may move a point of a coarser one
 
 
-@functools.partial(jax.jit, static_argnames="steps")
-def _trace_program(material, prestretch, contour, limits, seed, direction, active, accuracy, tops, lengths, steps):
+@kept_jit
+def _trace_program(material, prestretch, contour, limits, seed, direction, active, accuracy, tops, lengths):
     def linearise(u, args):
         material, prestretch, contour, accuracy = args
         lag, volume, columns = rim_with_columns(material, u, accuracy)
@@ -63,7 +61,7 @@ def _trace_program(material, prestretch, contour, limits, seed, direction, activ
         Code.beyond_tolerance,
     )
 
-    return trace(
+    done = trace(
         residual,
         seed,
         direction,
@@ -71,12 +69,13 @@ def _trace_program(material, prestretch, contour, limits, seed, direction, activ
         scale=jnp.asarray(SCALE),
         margins=margins,
         codes=codes,
-        steps=steps,
+        steps=_STEPS,
         linearise=linearise,
         monitors=lambda u, args: jnp.log(jnp.maximum(1 - u[2] / largest_load(args[0], u[0]), 1e-6)),
         lengths=lengths,
         active=active,
     )
+    return tuple(done)
 
 
 def run_traces(membrane, contour, limits, seeds, directions, **options):
@@ -105,7 +104,8 @@ def _run_trace(membrane, contour, limits, seed, direction, level, largest, farth
     flat = seed[0] - float(membrane.prestretch) < _FLAT
     lengths = np.array([_STEPS.smallest * (1e-2 if flat else 1.0), largest, farthest])
     grid = _TRACE_STEPS[level], np.array(_TOPS[level]), lengths
-    done = _trace_program(membrane.material, membrane.prestretch, contour, limits, seed, direction, True, *grid, _STEPS)
+    lanes = limits, seed, direction, True, *grid
+    done = Trace(*_trace_program(membrane.material, membrane.prestretch, contour, *lanes))
     count, code = int(done.count), Code(int(done.code))
     points, tangents = np.asarray(done.points)[:count], np.asarray(done.tangents)[:count]
     if code not in (Code.beyond_tolerance, Code.step_too_small) or level + 1 == len(_TRACE_STEPS):
@@ -126,6 +126,6 @@ def warm_up(membrane: Membrane) -> None:
 
     def trace_nothing():
         limits, grid = np.ones(5), (_TRACE_STEPS[0], np.array(_TOPS[0]), np.ones(3))
-        _trace_program(membrane.material, membrane.prestretch, contour, limits, nothing, nothing, False, *grid, _STEPS)
+        _trace_program(membrane.material, membrane.prestretch, contour, limits, nothing, nothing, False, *grid)
 
     compile_ahead(membrane, (trace_nothing,))

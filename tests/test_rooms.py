@@ -7,6 +7,7 @@ import pytest
 
 ROOMS = [
     "cache",
+    "kept",
     "results",
     "records",
     "materials",
