@@ -26,7 +26,7 @@ _ROOMS = {
     "chart": ("explicit_map",),
     "continuation": ("Steps", "Trace", "trace"),
     "surface": ("SheetState", "Surface"),
-    "ensemble": ("Outcome", "Ramps", "chamber_ramps"),
+    "ensemble": ("Curves", "Outcome", "Point", "Ramps", "chamber_curves", "chamber_ramps", "pressure_ramps"),
     "states": ("equilibrium",),
     "diagram": ("Diagram", "pressure_volume", "voltage_volume"),
     "cache": ("enable_compilation_cache",),
@@ -40,7 +40,7 @@ if typing.TYPE_CHECKING:
     from .chart import explicit_map
     from .continuation import Steps, Trace, trace
     from .diagram import Diagram, pressure_volume, voltage_volume
-    from .ensemble import Outcome, Ramps, chamber_ramps
+    from .ensemble import Curves, Outcome, Point, Ramps, chamber_curves, chamber_ramps, pressure_ramps
     from .loading import Chamber, ConstantPressure, ConstantVoltage
     from .materials import (
         ArrudaBoyce,

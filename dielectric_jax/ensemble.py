@@ -1,12 +1,11 @@
 """Ramps of many chambers, or pressures, on one membrane's surface: all their special points and events, nothing stepped.
 
 A loading crosses each row of λa at one load (`rows`), so that its contour is q(λa) on even rows: folds are the extremes of
-the polynomial through ten rows, zero-voltage states its zeros, breakdown where it meets q_b(λa), landings where it meets
+the polynomial through neighbouring rows, zero-voltage states its zeros, breakdown where it meets q_b(λa), landings where it meets
 the fold's q again. Where a row shows several crossings the contour ends; a ramp that is not decided by then, or by the
 edge of the surface's domain, is left to `voltage_volume`: its outcome says so, and its numbers are NaN.
 """
 
-import enum
 import typing
 
 import equinox as eqx
@@ -15,8 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from .kept import kept_jit
-from .marks import LEVEL, ContourOnRows, Events, Marks, first_place, last_place
+from .marks import LEVEL, ContourOnRows, Events, first_place
 from .programs import threads
+from .ramp_on_rows import Outcome, polish_program, ramp_program
 from .results import check_positive
 from .rows import ROWS, Conditions, Rows, crossings, rows_of
 from .surface import ById, Surface
@@ -24,29 +24,23 @@ from .surface import ById, Surface
 __all__ = ["Curves", "Outcome", "Point", "Ramps", "chamber_curves", "chamber_ramps", "pressure_ramps"]
 
 _CHUNK = 256
-_SNAPS = 2
-_MOST_ERROR = 1e-7  # of a ramp that is told
-_AMBIGUOUS = 1e-8  # a snap or landing this near to breakdown is not told
-_ULP = 2.3e-16
-
-
-class Outcome(enum.IntEnum):
-    """How a ramp up ends, as `Ramps.outcome` holds it."""
-
-    breakdown_on_branch = 0
-    breakdown_in_snap = 1
-    no_unbroken_landing = 2  # no landing, or one at a load more than a fifth above breakdown
-    start_unstable = 3
-    unresolved = 4  # ask `voltage_volume` for this loading
+_POLISHED = 1e-9  # from this error on the events of a ramp are met on the surface itself
+_LARGEST_ERROR = 1e-8  # of a ramp that is told, in the end
+_SOME = 32  # ramps that are polished together
 
 
 class Point(typing.NamedTuple):
-    """States of many loadings, arrays of one shape; NaN where there is none, and for the voltage of q < 0."""
+    """States of many loadings, arrays of one shape; NaN where there is none, and for the voltage of q < 0.
+
+    `error` bounds the relative error |error|/max(|value|, 1e-3) of volume and q; beside NaN it tells of a point that is
+    there but was not located.
+    """
 
     apex_stretch: np.ndarray
     pressure: np.ndarray
     volume: np.ndarray
     voltage: np.ndarray
+    error: np.ndarray
 
 
 class Ramps(typing.NamedTuple):
@@ -55,11 +49,11 @@ class Ramps(typing.NamedTuple):
     The arrays have the shape of the loadings; those of `snap`, `landing`, `snap_back` and `landing_back` have a last axis
     more, of two, for ramps that snap twice. The way up: `start`, `snaps` snaps with their landings (`landing_ratio` is
     E/E_EB there), `breakdown`; `area_strain` is (λa at breakdown / λa at the start)² − 1, with breakdown in the snap that of
-    the last unbroken state. The way down from the last landing: `snap_backs`, and `rest`, the zero-voltage state in which it
+    the last unbroken state. The way down from the last landing: `snap_back`, `landing_back`, and `rest`, the zero-voltage state in which it
     ends. `error` bounds the relative error of the voltages and volumes of the ramp.
 
     Special points of the contour through the start, by rising λa along a last axis: `folds` (of q, six), `zero_voltage`
-    (five), `breakdowns` (three), as far as the surface reaches.
+    (five), `breakdowns` (three); all there are between the two λa of `reach` (…, 2), where the surface holds the contour alone.
     """
 
     start: Point
@@ -75,6 +69,7 @@ class Ramps(typing.NamedTuple):
     folds: Point
     zero_voltage: Point
     breakdowns: Point
+    reach: np.ndarray
     outcome: np.ndarray
     error: np.ndarray
 
@@ -92,128 +87,37 @@ class Curves(typing.NamedTuple):
     several: np.ndarray
 
 
-def _ramp(rows: Rows, condition: Conditions, start: Events, q, v, found, again):
-    """The ramp and special points of one loading from its q and V on the rows."""
-    at = jnp.arange(ROWS)
-    plain = found & ~again
-    begin = jnp.where(start.seen(), start.place, 0.0).astype(int)
-    hole, ends = first_place(~plain & (at > begin))
-    last = jnp.where(ends, hole - 1, ROWS - 1)
-    hole, begins = last_place(~plain & (at <= begin))
-    first = jnp.where(begins, hole + 1, 0)
-    marks = Marks.of(ContourOnRows(rows, q, v, first, last))
-    folds, peak = marks.folds, marks.peak
-
-    def breakdown_load(event):
-        return rows.surface.breakdown_load(rows.apex_at(event.place))
-
-    # the way up
-    ahead = folds.after(start.place)
-    climbs = jnp.where(ahead.seen(), jnp.any(peak & (folds.place == ahead.place)), q[last] > 0)
-    nowhere = start.take((), False)
-    moving, here, failure = climbs, start, nowhere
-    lost = broken = doubt = jnp.asarray(False)
-    snaps, landings, ratios = [], [], []
-    for stage in range(_SNAPS + 1):
-        index, turns = first_place((folds.place > here.place) & peak)
-        snap, failing = folds.take(index, turns), marks.breaks.after(here.place)
-        failure = failure.unless(moving, failing)
-        snapping = moving & turns & (snap.place < failing.place)
-        if stage == _SNAPS:
-            doubt |= snapping
-            break
-        landing = marks.jumps.take(index, snapping)
-        limit = breakdown_load(landing)
-        for bound in (limit, breakdown_load(snap)):
-            doubt |= snapping & (jnp.abs(snap.load - bound) <= _AMBIGUOUS * bound)
-        doubt |= snapping & marks.rivalled[index]
-        lost |= snapping & ~landing.seen()
-        broken |= snapping & landing.seen() & (snap.load >= limit)
-        snaps.append(nowhere.unless(snapping, snap))
-        landings.append(landing)
-        ratios.append(jnp.sqrt(snap.load / limit))
-        moving = snapping & landing.seen() & (snap.load < limit)
-        here = here.unless(moving, landing)
-    survives = climbs & ~lost & ~broken & failure.seen()
-    failure = failure.take((), survives)
-    doubt |= jnp.where(survives, failure.place, ROWS) > marks.unlisted
-    # another branch further on matters where it may hold a state at the load of a snap without landing
-    level = jnp.where(snaps[1].seen(), snaps[1].load, snaps[0].load)
-    other = (at > last) & (found | again)
-    above, below = (jnp.all(~other | (plain & way)) for way in (q > 1.02 * level, 1.02 * q < level))
-    lost &= above | below
-
-    # the way down, from the last landing
-    descends = survives & snaps[0].seen()
-    rest = start.take((), survives & ~snaps[0].seen())
-    backs, returns = [], []
-    for stage in range(_SNAPS + 1):
-        index, turns = last_place((folds.place < here.place) & folds.seen() & ~peak)
-        back, zero = folds.take(index, turns), marks.zeros.before(here.place)
-        backing = descends & turns & (back.place > jnp.where(zero.seen(), zero.place, -1.0))
-        rest = rest.unless(descends & ~backing, zero)
-        doubt |= descends & ~backing & ~zero.seen()
-        if stage == _SNAPS:
-            doubt |= backing
-            break
-        landing = marks.jumps.take(index, backing)
-        doubt |= backing & (~landing.seen() | marks.rivalled[index])
-        backs.append(nowhere.unless(backing, back))
-        returns.append(landing)
-        descends = backing & landing.seen()
-        here = here.unless(descends, landing)
-
-    told = [start, *snaps, *landings, failure, *backs, *returns, rest]
-    told = jax.tree.map(lambda *v: jnp.stack(v), *told)
-    bound = rows.surface.error_bound(rows.apex_at(told.place), told.load)
-    error = jnp.max(jnp.where(told.seen(), told.error + bound, 0.0)) + rows.error[begin] + _ULP * ROWS
-    decided = ~climbs | lost | broken | survives
-    fair = start.seen() & decided & ~marks.hidden & ~doubt & (error < _MOST_ERROR)
-    outcome = jnp.where(broken, int(Outcome.breakdown_in_snap), int(Outcome.breakdown_on_branch))
-    outcome = jnp.where(lost, int(Outcome.no_unbroken_landing), outcome)
-    outcome = jnp.where(climbs, outcome, int(Outcome.start_unstable))
-    outcome = jnp.where(fair, outcome, int(Outcome.unresolved))
-
-    def points(events, known):
-        seen = events.seen() & known
-        apex = rows.apex_at(jnp.where(events.seen(), events.place, 1.0))
-        voltage = jnp.where(events.load >= 0, jnp.sqrt(jnp.maximum(events.load, 0.0)), jnp.nan)
-        values = apex, condition.pressure(events.volume), events.volume, voltage
-        return jnp.where(seen, jnp.stack(values), jnp.nan)
-
-    final = jnp.where(survives, failure.place, jnp.where(snaps[1].seen(), snaps[1].place, snaps[0].place))
-    final = rows.apex_at(jnp.where(jnp.isfinite(final), final, 1.0))
-    strain = jnp.where(fair & climbs, (final / rows.apex_at(start.place)) ** 2 - 1, jnp.nan)
-    return (
-        points(told, fair),
-        [points(e, start.seen()) for e in (folds, marks.zeros, marks.breaks)],
-        jnp.where(fair & jnp.stack([e.seen() for e in landings]), jnp.stack(ratios), jnp.nan),
-        strain,
-        jnp.where(fair, sum(s.seen().astype(int) for s in snaps), 0),
-        outcome,
-        jnp.where(fair, error, jnp.nan),
-    )
-
-
-def _start(rows: Rows, values, others, target):
-    """Where the state at zero voltage first reaches a volume (or pressure), among its values on the rows."""
+def _start(rows: Rows, values, others, target, order: int):
+    """Where the state at zero voltage first reaches a volume (or with `order` −1 a pressure), from values on the rows."""
     reached, any_ = first_place(values >= target)
     present = any_ & (reached > 0)
     whole = ContourOnRows(rows, values, others, jnp.asarray(0), jnp.asarray(ROWS - 1))
-    place, value, other, error = whole.meet(jnp.maximum(reached - 1, 0), LEVEL, target)
-    return Events(jnp.where(present, place, jnp.inf), value, other, error)
+    place, _, other, _ = whole.meet(jnp.maximum(reached - 1, 0), LEVEL, target)
+
+    def on_surface(apex):
+        return jnp.stack(rows.surface.at_load_fraction(apex, 0.0, ("volume", "pressure")[::order]))
+
+    def newton(_, known):
+        apex, _, _ = known
+        value, slope = jax.jvp(on_surface, (apex,), (jnp.ones_like(apex),))
+        move = (target - value[0]) / slope[0]
+        return apex + move, value[1] + slope[1] * move, jnp.abs(move)
+
+    apex, other, size = jax.lax.fori_loop(0, 2, newton, (rows.apex_at(place), other, jnp.inf))
+    place = jnp.where(present & (size < 1e-5), rows.place_of(apex), jnp.inf)
+    return Events(place, target, other, jnp.where(size < 1e-7, 0.0, size))
 
 
 def _conditions(rows: Rows, lanes, kind: str):
     """The starts and conditions of a chunk of chambers (V_C, V_0, p_atm, n), or of pressures."""
     if kind == "pressure":
         (pressure,) = lanes
-        start = jax.vmap(lambda p: _start(rows, rows.flat_pressure, rows.flat_volume, p))(pressure)
+        start = jax.vmap(lambda p: _start(rows, rows.flat_pressure, rows.flat_volume, p, -1))(pressure)
         one, zero = jnp.ones_like(pressure), jnp.zeros_like(pressure)
         conditions = Conditions(zero, one, pressure, zero, one, polytropic=False)
         return Events(start.place, zero, start.volume, start.error), conditions
     chamber, filling, outside, exponent = lanes
-    start = jax.vmap(lambda v: _start(rows, rows.flat_volume, rows.flat_pressure, v))(filling)
+    start = jax.vmap(lambda v: _start(rows, rows.flat_volume, rows.flat_pressure, v, 1))(filling)
     pressure = jnp.where(jnp.isfinite(start.place), start.volume, jnp.nan)  # the other value of a start is its pressure
     given = jnp.ones_like(chamber), chamber, jnp.ones_like(chamber), outside, exponent
     conditions = Conditions(*given, polytropic=kind == "polytropic")
@@ -235,16 +139,25 @@ def _crossing_program(kind: str):
 _CROSSINGS = {kind: _crossing_program(kind) for kind in ("isothermal", "polytropic", "pressure")}
 
 
-# a program of its own: fused with the crossings it would find them anew for every use
-@kept_jit
-def _ramp_program(rows: Rows, start: Events, conditions: Conditions, q, v, found, again):
-    return jax.vmap(_ramp, in_axes=(None, 0, 0, 1, 1, 1, 1))(rows, conditions, start, q, v, found, again)
-
-
 def _ramps_chunk(rows: Rows, lanes, kind: str):
-    start, conditions, crossed = _CROSSINGS[kind](rows, lanes)
-    q, _, *rest = crossed
-    return _ramp_program(rows, Events(*start), Conditions(*conditions, polytropic=kind == "polytropic"), q, *rest)
+    start, conditions, (q, _, *crossed) = _CROSSINGS[kind](rows, lanes)
+    conditions = Conditions(*conditions, polytropic=kind == "polytropic")
+    # a program of its own: fused with the crossings it would find them anew for every use
+    answer = ramp_program(rows, Events(*start), conditions, q, *crossed)
+    told, marks, snaps, outcome, reach = (jax.tree.map(np.array, part) for part in answer)
+
+    def worst():
+        return np.max(np.nan_to_num(told[:, 4], nan=0.0), axis=1)
+
+    rough = np.flatnonzero(worst() > _POLISHED)
+    for i in range(0, len(rough), _SOME):
+        some = rough[i : i + _SOME]
+        which = np.pad(some, (0, _SOME - len(some)), mode="edge")
+        own = jax.tree.map(lambda v, which=which: np.asarray(v)[which], conditions)
+        told[some] = np.asarray(polish_program(rows.surface, own, told[which]))[: len(some)]
+    vague = worst() > _LARGEST_ERROR
+    told[vague], snaps[vague], outcome[vague] = np.nan, 0, int(Outcome.unresolved)
+    return told, marks, snaps, outcome, reach
 
 
 def _curves_chunk(rows: Rows, lanes, kind: str):
@@ -269,7 +182,7 @@ def _run(chunk, surface: Surface, columns: list[np.ndarray], kind: str, axis: in
 
     def join(*v):
         whole = np.moveaxis(np.concatenate(v, axis), axis, 0)[:count]
-        return whole.reshape(*shape, *whole.shape[1:])
+        return whole.reshape((*shape, *whole.shape[1:]))
 
     return jax.tree.map(join, *parts)
 
@@ -295,29 +208,40 @@ def _columns(surface, given: dict) -> list[np.ndarray]:
     return list(columns.values())
 
 
-def _ramps_of(told, marks, landing_ratio, area_strain, snaps, outcome, error) -> Ramps:
-    """The answer of the program, by names; points have an axis of λa, p, V, Φ, then one of events."""
-    one, pair = (
-        (lambda k: Point(*np.moveaxis(told[..., k], -1, 0))),
-        (lambda k: Point(*np.moveaxis(told[..., k : k + 2], -2, 0))),
-    )
-    folds, zeros, breaks = (Point(*np.moveaxis(m, -2, 0)) for m in marks)
+def _ramps_of(surface: Surface, told, marks, snaps, outcome, reach) -> Ramps:
+    """The answer of the program, by names; points have an axis of λa, p, V, q, error, then one of events."""
+
+    def points(values):
+        apex, p, v, q, error = values
+        with np.errstate(invalid="ignore"):
+            return Point(apex, p, v, np.sqrt(q), error)
+
+    def at(which):
+        return points(np.moveaxis(told[..., which], told.ndim - 2, 0))
+
+    folds, zeros, breaks = (points(np.moveaxis(m, -2, 0)) for m in marks)
+    landing = at(slice(3, 5))
+    with np.errstate(invalid="ignore"):
+        limit = np.sqrt(np.asarray(surface.breakdown_load(landing.apex_stretch)))
+    snapped = np.where(np.isnan(told[..., 0, 2]), told[..., 0, 1], told[..., 0, 2])
+    final = np.where(np.isnan(told[..., 0, 5]), snapped, told[..., 0, 5])
     return Ramps(
-        start=one(0),
-        snap=pair(1),
-        landing=pair(3),
-        landing_ratio=landing_ratio,
-        breakdown=one(5),
-        area_strain=area_strain,
+        start=at(0),
+        snap=at(slice(1, 3)),
+        landing=landing,
+        landing_ratio=landing.voltage / limit,
+        breakdown=at(5),
+        area_strain=(final / told[..., 0, 0]) ** 2 - 1,
         snaps=snaps,
-        snap_back=pair(6),
-        landing_back=pair(8),
-        rest=one(10),
+        snap_back=at(slice(6, 8)),
+        landing_back=at(slice(8, 10)),
+        rest=at(10),
         folds=folds,
         zero_voltage=zeros,
         breakdowns=breaks,
+        reach=reach,
         outcome=outcome,
-        error=error,
+        error=np.where(outcome == Outcome.unresolved, np.nan, np.max(np.nan_to_num(told[..., 4, :], nan=0.0), axis=-1)),
     )
 
 
@@ -338,7 +262,7 @@ def chamber_ramps(
     """
     given = chamber_volume, initial_volume, atmospheric_pressure, polytropic_exponent
     columns, kind = _chambers(surface, *given)
-    return _ramps_of(*_run(_ramps_chunk, surface, columns, kind, 0))
+    return _ramps_of(surface, *_run(_ramps_chunk, surface, columns, kind, 0))
 
 
 def pressure_ramps(surface: Surface, pressure) -> Ramps:
@@ -349,7 +273,7 @@ def pressure_ramps(surface: Surface, pressure) -> Ramps:
     >>> ramps.outcome.tolist() == [Outcome.no_unbroken_landing] * 2
     True
     """
-    return _ramps_of(*_run(_ramps_chunk, surface, _columns(surface, {"pressure": pressure}), "pressure", 0))
+    return _ramps_of(surface, *_run(_ramps_chunk, surface, _columns(surface, {"pressure": pressure}), "pressure", 0))
 
 
 def chamber_curves(

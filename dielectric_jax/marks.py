@@ -1,6 +1,6 @@
 """Special points of one loading's contour on rows: folds, zero-voltage states, breakdowns, and the jumps from folds.
 
-Between rows q and V are the polynomials through ten of them; what those through the inner eight would give differently is
+Between rows q and V are the polynomials through twelve of them; what those through the inner ten would give differently is
 the error. Written for one loading, to be vmapped.
 """
 
@@ -10,11 +10,23 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .rows import ROWS, Rows
+from .materials import largest_load
+from .rows import ROWS, Conditions, Rows
+from .surface import Surface
 
-__all__ = ["LEVEL", "ContourOnRows", "Events", "Marks", "first_place", "last_place"]
+__all__ = [
+    "BREAKDOWN",
+    "FOLD",
+    "LEVEL",
+    "ContourOnRows",
+    "Events",
+    "Marks",
+    "first_place",
+    "last_place",
+    "meet_on_surface",
+]
 
-_STENCIL = 10  # rows that a polynomial runs through
+_STENCIL = 12  # rows that a polynomial runs through; the error is what its inner ten would change
 FOLD, LEVEL, BREAKDOWN = 0, 1, 2  # kinds of events
 _FOLDS, _ZEROS, _BREAKS = 6, 5, 3  # that are listed
 _KINDS = np.repeat([FOLD, LEVEL, BREAKDOWN], [_FOLDS, _ZEROS, _BREAKS])
@@ -24,7 +36,7 @@ _MERGING = 2e-3  # a slope of q between rows below this share of the largest may
 
 
 def _stencil_matrices():
-    """From ten values at even rows to monomial coefficients about their middle, and from the inner eight of them."""
+    """From values at even rows to monomial coefficients about their middle, and from all but the outer two."""
     unit = (np.arange(_STENCIL) - (_STENCIL - 1) / 2) / (_STENCIL / 2)
     full = np.linalg.inv(np.vander(unit, increasing=True))
     inner = np.zeros_like(full)
@@ -71,7 +83,7 @@ class ContourOnRows(eqx.Module):
     last: Int[Array, ""]
 
     def _polynomials(self, row):
-        """The polynomials of q and V through ten rows, and eight, about a row, in x; the scale of q; place(x)."""
+        """The polynomials of q and V through twelve rows, and ten, about a row, in x; the scale of q; place(x)."""
         base = jnp.clip(row - (_STENCIL // 2 - 1), self.first, jnp.maximum(self.last - _STENCIL + 1, self.first))
         base = jnp.clip(base, 0, ROWS - _STENCIL)
         load, volume = (jax.lax.dynamic_slice(v, (base,), (_STENCIL,)) for v in (self.load, self.volume))
@@ -234,3 +246,43 @@ class Marks(eqx.Module):
             unlisted=jnp.min(jnp.stack(unlisted)),
             hidden=jnp.any(still) | (total > _DIPS),
         )
+
+
+def meet_on_surface(surface: Surface, condition: Conditions, kind, target, apex, load):
+    """An event met by Newton on the surface itself from a start close by: (λa, p, V, q), and the size of the last move.
+
+    FOLD of q along the loading's contour, LEVEL q = target, or BREAKDOWN q = q_b(λa).
+    """
+    material = surface.membrane.material
+
+    def state(x):
+        p, v = surface.at_load_fraction(x[0], x[1], ("pressure", "volume"))
+        return p, v, x[1] * largest_load(material, x[0])
+
+    def on_contour(x):
+        p, v, _ = state(x)
+        room = condition.weight * v + condition.chamber_volume
+        gas = jnp.log(p + condition.atmospheric_pressure) + condition.exponent * jnp.log(room)
+        return gas - jnp.log(condition.constant)
+
+    def equations(x):
+        q = state(x)[2]
+        gas, by_gas = jax.value_and_grad(on_contour)(x)
+        by_load = jax.grad(lambda x: state(x)[2])(x)
+        size = jax.lax.stop_gradient(jnp.abs(by_gas[1] * by_load[1])) + 1e-300
+        fold = (by_gas[0] * by_load[1] - by_gas[1] * by_load[0]) / size
+        level = (q - target) / jax.lax.stop_gradient(by_load[1])
+        last = jnp.where(kind == FOLD, fold, jnp.where(kind == LEVEL, level, q / surface.breakdown_load(x[0]) - 1))
+        return jnp.stack([gas, last])
+
+    def newton(_, known):
+        x, _ = known
+        (a, b), (c, d) = jax.jacfwd(equations)(x)
+        f, g = equations(x)
+        move = -jnp.stack([d * f - b * g, a * g - c * f]) / (a * d - b * c)
+        return x + move, jnp.max(jnp.abs(move))
+
+    start = jnp.stack([apex, load / largest_load(material, apex)])
+    x, size = jax.lax.fori_loop(0, 4, newton, (start, jnp.asarray(jnp.inf)))
+    p, v, q = state(x)
+    return jnp.stack([x[0], p, v, q]), jnp.where(jnp.abs(x[0] - apex) < 0.1, size, jnp.inf)

@@ -82,6 +82,12 @@ class Rows(eqx.Module):
         rim, end = self.surface.membrane.prestretch, self.surface.apex_edges[-1]
         return rim + (end - rim) * (_LOWEST + (1 - _LOWEST) * place / (ROWS - 1)) ** 2 * (1 - 1e-12)
 
+    def place_of(self, apex_stretch):
+        """The place between rows of a λa, the inverse of `apex_at`."""
+        rim, end = self.surface.membrane.prestretch, self.surface.apex_edges[-1]
+        y = jnp.sqrt((apex_stretch - rim) / ((end - rim) * (1 - 1e-12)))
+        return (y - _LOWEST) / (1 - _LOWEST) * (ROWS - 1)
+
 
 def _panel_polynomials(panel_values):
     """Monomial coefficients (…, terms), highest last, of values (…, terms) at the Chebyshev–Gauss nodes; their tail."""

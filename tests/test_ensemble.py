@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import dielectric_jax as dj
-from dielectric_jax import Outcome, chamber_ramps
+from dielectric_jax import Outcome, chamber_curves, chamber_ramps, pressure_ramps
 
 
 @pytest.fixture(scope="module")
@@ -16,27 +16,43 @@ def test_reference_numbers(surface):
     """Snap, landing, breakdown and area strain at V_0 = 2.42, from methods that share no code."""
     ramps = chamber_ramps(surface, [500.0, 800.0, 1600.0, 25000.0], 2.42)
     assert (ramps.outcome == Outcome.breakdown_on_branch).all()
-    assert np.isnan(ramps.snap.voltage[0]) and list(ramps.snaps) == [0, 1, 1, 1]
-    assert np.allclose(ramps.snap.voltage[1:3], [0.0971990067469, 0.0764953595449], rtol=1e-10)
-    assert np.allclose(ramps.landing.volume[1:3], [9.07429967742, 19.9533292542], rtol=1e-10)
+    assert np.isnan(ramps.snap.voltage[0]).all() and list(ramps.snaps) == [0, 1, 1, 1]
+    assert np.allclose(ramps.snap.voltage[1:3, 0], [0.0971990067469, 0.0764953595449], rtol=1e-10)
+    assert np.allclose(ramps.landing.volume[1:3, 0], [9.07429967742, 19.9533292542], rtol=1e-10)
     assert np.allclose(ramps.breakdown.voltage[1:3], [0.115172761046, 0.100970094106], rtol=1e-10)
-    assert abs(ramps.landing_ratio[2] - 0.568782) < 1e-6
+    assert abs(ramps.landing_ratio[2, 0] - 0.568782) < 1e-6
     assert abs(ramps.breakdown.apex_stretch[2] / 8.10285526922 - 1) < 1e-10
     assert np.allclose(ramps.area_strain, [12.6847453, 14.0104827, 16.1218889, 25.567264], rtol=1e-7)
     assert np.allclose(ramps.start.pressure, 1.886612680245, rtol=1e-11)
     assert (ramps.error < 1e-9).all()
+    # 500 has no fold, 800 and 1600 two; 1600 and 25000 dip below zero voltage, so that the way down stays
+    assert list(np.isfinite(ramps.folds.volume).sum(axis=1)) == [0, 2, 2, 2]
+    assert list(np.isfinite(ramps.zero_voltage.volume).sum(axis=1)) == [1, 1, 3, 3]
+    assert list(np.isfinite(ramps.snap_back.voltage[:, 0])) == [False, True, False, False]
+    stays = np.abs(ramps.rest.apex_stretch / ramps.start.apex_stretch - 1) > 1e-9
+    assert list(stays) == [False, False, True, True]
 
 
 def test_known_edges_of_regimes(surface):
     """Breaks in the snap below V_C = 467.850181739; no snap between the cusps 484.04966 and 551.39914 (V_0 = 2.42)."""
-    ramps = chamber_ramps(surface, [467.84, 467.86, 484.0, 486.0, 550.0, 552.0], 2.42)
+    ramps = chamber_ramps(surface, [467.84, 467.86, 484.0, 484.1, 551.3, 552.0], 2.42)
     assert list(ramps.outcome[:2]) == [Outcome.breakdown_in_snap, Outcome.breakdown_on_branch]
     decided = ramps.outcome != Outcome.unresolved
-    assert decided.sum() >= 4
-    assert list(ramps.snaps[decided]) == list(np.array([1, 1, 1, 0, 0, 1])[decided])
+    assert decided.all()
+    assert list(ramps.snaps) == [1, 1, 1, 0, 0, 1]
     # at V_C = 25000 the membrane survives the snap only when filled beyond V_0 = 2.361001148
     ramps = chamber_ramps(surface, 25000.0, [2.36100, 2.36101])
     assert list(ramps.outcome) == [Outcome.breakdown_in_snap, Outcome.breakdown_on_branch]
+    # bistable, so that the way down stays in the snapped state, from V_C = 1455.896262457
+    ramps = chamber_ramps(surface, [1455.89, 1455.91], 2.42)
+    assert list(np.isfinite(ramps.snap_back.voltage[:, 0])) == [True, False]
+
+
+def agrees(points, i, states, field="volume"):
+    """The numbers of a kind of event, against the states of a diagram's ramp."""
+    mine = np.atleast_1d(getattr(points, field)[i])
+    mine = mine[np.isfinite(mine)]
+    return len(mine) == len(states) and np.allclose(mine, [getattr(s, field) for s in states], rtol=1e-8, atol=1e-11)
 
 
 @pytest.mark.parametrize(("prestretch", "most"), [(1.0, 2.9), (2.0, 15.0)])
@@ -46,7 +62,7 @@ def test_the_continuation_of_the_same_scenes(prestretch, most, surface):
     surface = surface if prestretch == 1 else dj.Surface.build(membrane, cache=False)
     random = np.random.default_rng(3)
     chambers, fillings = np.exp(random.uniform(np.log(10), np.log(25000), 5)), random.uniform(0.1, most, 5)
-    ramps = chamber_ramps(surface, chambers, fillings)
+    ramps = chamber_ramps(surface, chambers, fillings, polytropic_exponent=1.2)
     reasons = {
         Outcome.breakdown_on_branch: ("breakdown on the branch",),
         Outcome.breakdown_in_snap: ("breakdown in the snap",),
@@ -55,16 +71,59 @@ def test_the_continuation_of_the_same_scenes(prestretch, most, surface):
     }
     assert (ramps.outcome != Outcome.unresolved).sum() >= 3
     for i in np.flatnonzero(ramps.outcome != Outcome.unresolved):
-        chamber = dj.Chamber(volume=chambers[i], initial_volume=fillings[i])
-        up = dj.voltage_volume(dj.Scene(membrane, chamber)).ramp()
+        chamber = dj.Chamber(volume=chambers[i], initial_volume=fillings[i], polytropic_exponent=1.2)
+        diagram = dj.voltage_volume(dj.Scene(membrane, chamber))
+        up = diagram.ramp()
         assert up.area_strain_reason in reasons[Outcome(int(ramps.outcome[i]))]
         assert abs(ramps.area_strain[i] / up.area_strain - 1) < 1e-8
-        snaps = up["snap"]
-        assert len(snaps) == ramps.snaps[i]
-        if snaps:
-            assert abs(ramps.snap.voltage[i] / snaps[0].state.voltage - 1) < 1e-8
-        if np.isfinite(ramps.landing.volume[i]):
-            assert abs(ramps.landing.volume[i] / up["landing"][0].state.volume - 1) < 1e-8
+        snaps = [e.state for e in up["snap"]]
+        assert agrees(ramps.snap, i, snaps) and agrees(ramps.snap, i, snaps, "voltage")
+        if ramps.outcome[i] != Outcome.no_unbroken_landing:
+            assert agrees(ramps.landing, i, [e.state for e in up["landing"]])
+        if ramps.outcome[i] == Outcome.breakdown_on_branch:
+            down = diagram.ramp("down")
+            assert agrees(ramps.snap_back, i, [e.state for e in down["snap_back"]], "voltage")
+            assert agrees(ramps.landing_back, i, [e.state for e in down["landing"]])
+            assert agrees(ramps.breakdown, i, [e.state for e in up["breakdown"]])
+        own = [p for p in diagram.special_points if ramps.reach[i, 0] < p.apex_stretch < ramps.reach[i, 1]]
+        for kind, points in (
+            ("fold", ramps.folds),
+            ("zero_voltage", ramps.zero_voltage),
+            ("breakdown", ramps.breakdowns),
+        ):
+            theirs = np.array([p.volume for p in own if p.kind == kind])
+            mine = points.volume[i][(points.error[i] < 1e-8)]
+            assert len(mine) <= len(theirs) or not len(own)
+            assert all(np.min(np.abs(theirs / v - 1)) < 1e-8 for v in mine)
+
+
+def test_two_snaps_and_constant_pressure(surface):
+    """At constant pressure the paper's p = 1.82 snaps without landing; all of it against the diagram."""
+    pressures = [1.0, 1.5, 1.82]
+    ramps = pressure_ramps(surface, pressures)
+    for i in np.flatnonzero(ramps.outcome != Outcome.unresolved):
+        up = dj.voltage_volume(dj.Scene(surface.membrane, dj.ConstantPressure(pressures[i]))).ramp()
+        assert agrees(ramps.start, i, [up.events[0].state])
+        assert agrees(ramps.snap, i, [e.state for e in up["snap"]], "voltage")
+    assert (ramps.outcome != Outcome.unresolved).any()
+
+
+def test_curves_are_states(surface):
+    """Points of the curves against the explicit map, and against the chamber's law."""
+    curves = chamber_curves(surface, [300.0, 1600.0], [2.0, 2.42])
+    assert curves.volume.shape == (2, 256)
+    for lane, (chamber, filling) in enumerate(((300.0, 2.0), (1600.0, 2.42))):
+        seen = np.flatnonzero(np.isfinite(curves.volume[lane]))
+        assert len(seen) > 60
+        p, v, q = (w[lane, seen] for w in (curves.pressure, curves.volume, curves.voltage_squared))
+        constant = (p + 50) * (v + chamber)
+        assert np.allclose(constant, constant[0], rtol=1e-13)
+        start = float(chamber_ramps(surface, chamber, filling).start.pressure)
+        assert np.allclose(constant, (start + 50) * (filling + chamber), rtol=1e-13)
+        exact = dj.explicit_map(surface.membrane.material, curves.apex_stretch[seen], q, 1.0, 320.0)
+        small = curves.apex_stretch[seen] - 1 < 0.02  # rounding of λa at the flat end
+        assert np.allclose(np.asarray(exact[0])[~small], p[~small], rtol=2e-9)
+        assert np.allclose(np.asarray(exact[1])[~small], v[~small], rtol=2e-9)
 
 
 def test_a_chamber_does_not_depend_on_its_neighbours(surface):
@@ -73,7 +132,7 @@ def test_a_chamber_does_not_depend_on_its_neighbours(surface):
     alone = chamber_ramps(surface, chambers[::37], 2.0)
     assert np.array_equal(together.area_strain[::37], alone.area_strain, equal_nan=True)
     shaped = chamber_ramps(surface, chambers[:6].reshape(2, 3), 2.0)
-    assert shaped.snap.voltage.shape == (2, 3)
+    assert shaped.snap.voltage.shape == (2, 3, 2) and shaped.start.volume.shape == (2, 3)
     assert np.array_equal(shaped.outcome.ravel(), together.outcome[:6])
 
 
@@ -95,3 +154,7 @@ def test_bad_input(surface):
         chamber_ramps(surface, 100.0, 2.0, polytropic_exponent=0.0)
     with pytest.raises(ValueError, match="empty"):
         chamber_ramps(surface, [], 2.0)
+    with pytest.raises(ValueError, match="`pressure` must be positive"):
+        pressure_ramps(surface, 0.0)
+    with pytest.raises(ValueError, match="`surface` must be a Surface"):
+        chamber_ramps(surface.membrane, 100.0, 2.0)

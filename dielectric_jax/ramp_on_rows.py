@@ -1,0 +1,165 @@
+"""The ramp of one loading on rows of a surface: the way up through snaps to breakdown, and the way down.
+
+Written for one loading, to be vmapped; its events are told between rows and, where that is too rough, met on the surface.
+"""
+
+import enum
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .kept import kept_jit
+from .marks import BREAKDOWN, FOLD, LEVEL, ContourOnRows, Events, Marks, first_place, last_place, meet_on_surface
+from .rows import ROWS, Conditions, Rows
+from .surface import Surface
+
+__all__ = ["Outcome", "polish_program", "ramp_program"]
+
+_SNAPS = 2
+_MOST_ERROR = 1e-4  # between rows, of a ramp that is told
+_AMBIGUOUS = 1e-8  # a snap or landing this near to breakdown is not told
+_ULP = 2.3e-16
+
+
+class Outcome(enum.IntEnum):
+    """How a ramp up ends, as `Ramps.outcome` holds it."""
+
+    breakdown_on_branch = 0
+    breakdown_in_snap = 1
+    no_unbroken_landing = 2  # no landing, or one at a load more than a fifth above breakdown
+    start_unstable = 3
+    unresolved = 4  # ask `voltage_volume` for this loading
+
+
+def _ramp(rows: Rows, condition: Conditions, start: Events, q, v, found, again):
+    """The ramp and special points of one loading from its q and V on the rows."""
+    at = jnp.arange(ROWS)
+    plain = found & ~again
+    begin = jnp.where(start.seen(), start.place, 0.0).astype(int)
+    hole, ends = first_place(~plain & (at > begin))
+    last = jnp.where(ends, hole - 1, ROWS - 1)
+    hole, begins = last_place(~plain & (at <= begin))
+    first = jnp.where(begins, hole + 1, 0)
+    marks = Marks.of(ContourOnRows(rows, q, v, first, last))
+    folds, peak = marks.folds, marks.peak
+
+    def breakdown_load(event):
+        return rows.surface.breakdown_load(rows.apex_at(event.place))
+
+    # the way up
+    ahead = folds.after(start.place)
+    climbs = jnp.where(ahead.seen(), jnp.any(peak & (folds.place == ahead.place)), q[last] > 0)
+    nowhere = start.take((), False)
+    moving, here, failure = climbs, start, nowhere
+    lost = broken = doubt = jnp.asarray(False)
+    snaps, landings = [], []
+    for stage in range(_SNAPS + 1):
+        index, turns = first_place((folds.place > here.place) & peak)
+        snap, failing = folds.take(index, turns), marks.breaks.after(here.place)
+        failure = failure.unless(moving, failing)
+        snapping = moving & turns & (snap.place < failing.place)
+        if stage == _SNAPS:
+            doubt |= snapping
+            break
+        landing = marks.jumps.take(index, snapping)
+        limit = breakdown_load(landing)
+        for bound in (limit, breakdown_load(snap)):
+            doubt |= snapping & (jnp.abs(snap.load - bound) <= _AMBIGUOUS * bound)
+        doubt |= snapping & marks.rivalled[index]
+        lost |= snapping & ~landing.seen()
+        broken |= snapping & landing.seen() & (snap.load >= limit)
+        snaps.append(nowhere.unless(snapping, snap))
+        landings.append(landing)
+        moving = snapping & landing.seen() & (snap.load < limit)
+        here = here.unless(moving, landing)
+    survives = climbs & ~lost & ~broken & failure.seen()
+    failure = failure.take((), survives)
+    doubt |= jnp.where(survives, failure.place, ROWS) > marks.unlisted
+    # another branch further on matters where it may hold a state at the load of a snap without landing
+    level = jnp.where(snaps[1].seen(), snaps[1].load, snaps[0].load)
+    other = (at > last) & (found | again)
+    above, below = (jnp.all(~other | (plain & way)) for way in (q > 1.02 * level, 1.02 * q < level))
+    lost &= above | below
+
+    # the way down, from the last landing
+    descends = survives & snaps[0].seen()
+    rest = start.take((), survives & ~snaps[0].seen())
+    backs, returns = [], []
+    for stage in range(_SNAPS + 1):
+        index, turns = last_place((folds.place < here.place) & folds.seen() & ~peak)
+        back, zero = folds.take(index, turns), marks.zeros.before(here.place)
+        backing = descends & turns & (back.place > jnp.where(zero.seen(), zero.place, -1.0))
+        rest = rest.unless(descends & ~backing, zero)
+        doubt |= descends & ~backing & ~zero.seen()
+        if stage == _SNAPS:
+            doubt |= backing
+            break
+        landing = marks.jumps.take(index, backing)
+        doubt |= backing & (~landing.seen() | marks.rivalled[index])
+        backs.append(nowhere.unless(backing, back))
+        returns.append(landing)
+        descends = backing & landing.seen()
+        here = here.unless(descends, landing)
+
+    told = [start, *snaps, *landings, failure, *backs, *returns, rest]
+    told = jax.tree.map(lambda *v: jnp.stack(v), *told)
+    decided = ~climbs | lost | broken | survives
+    fair = (
+        start.seen()
+        & decided
+        & ~marks.hidden
+        & ~doubt
+        & (jnp.max(jnp.where(told.seen(), told.error, 0.0)) < _MOST_ERROR)
+    )
+    outcome = jnp.where(broken, int(Outcome.breakdown_in_snap), int(Outcome.breakdown_on_branch))
+    outcome = jnp.where(lost, int(Outcome.no_unbroken_landing), outcome)
+    outcome = jnp.where(climbs, outcome, int(Outcome.start_unstable))
+    outcome = jnp.where(fair, outcome, int(Outcome.unresolved))
+
+    def points(events, known):
+        there = events.seen() & known
+        apex = rows.apex_at(jnp.where(there, events.place, 1.0))
+        row = jnp.where(there, events.place, 0.0).astype(int)
+        error = events.error + rows.surface.error_bound(apex, events.load) + rows.error[row] + _ULP * ROWS
+        values = jnp.stack([apex, condition.pressure(events.volume), events.volume, events.load])
+        values = jnp.where(there & (error < _MOST_ERROR), values, jnp.nan)
+        return jnp.concatenate([values, jnp.where(there, error, jnp.nan)[None]])
+
+    return (
+        points(told, fair),
+        [points(e, start.seen()) for e in (folds, marks.zeros, marks.breaks)],
+        jnp.where(fair, sum(s.seen().astype(int) for s in snaps), 0),
+        outcome,
+        # folds show on three rows
+        jnp.where(start.seen(), rows.apex_stretch[jnp.stack([first + 1, last - 1])], jnp.nan),
+    )
+
+
+@kept_jit
+def ramp_program(rows: Rows, start: Events, conditions: Conditions, q, v, found, again):
+    """Many loadings: their events (loadings, 5, 11), special points (loadings, 5, count), snaps, outcomes, reach."""
+    return jax.vmap(_ramp, in_axes=(None, 0, 0, 1, 1, 1, 1))(rows, conditions, start, q, v, found, again)
+
+
+# the events of a ramp, in this order: start, two snaps, two landings, breakdown, two snap-backs and their landings, rest
+_FIRST = np.array([1, 2, 5, 6, 7, 10])
+_KINDS = np.array([FOLD, FOLD, BREAKDOWN, FOLD, FOLD, LEVEL])
+_JUMPS, _FROM = np.array([3, 4, 8, 9]), np.array([1, 2, 6, 7])
+
+
+@kept_jit
+def polish_program(surface: Surface, conditions: Conditions, told):
+    """The events (lanes, 5, 11) of some ramps met on the surface."""
+
+    def one(condition, told):
+        def meet(which, kinds, targets):
+            apex, load = told[0, which], told[3, which]
+            found, size = jax.vmap(lambda *v: meet_on_surface(surface, condition, *v))(kinds, targets, apex, load)
+            bound = surface.error_bound(found[:, 0], found[:, 3]) + jnp.where(size < 1e-6, size**2, jnp.inf)
+            return jnp.concatenate([found, jnp.where(jnp.isnan(apex), jnp.nan, bound)[:, None]], axis=1).T
+
+        met = told.at[:, _FIRST].set(meet(_FIRST, jnp.asarray(_KINDS), jnp.zeros(len(_FIRST))))
+        return met.at[:, _JUMPS].set(meet(_JUMPS, jnp.full(len(_JUMPS), LEVEL), met[3, _FROM]))
+
+    return jax.vmap(one)(conditions, told)
