@@ -27,6 +27,7 @@ _ROOMS = {
     "continuation": ("Steps", "Trace", "trace"),
     "surface": ("SheetState", "Surface"),
     "ensemble": ("Curves", "Outcome", "Point", "Ramps", "chamber_curves", "chamber_ramps", "pressure_ramps"),
+    "family": ("SurfaceFamily",),
     "states": ("equilibrium",),
     "diagram": ("Diagram", "pressure_volume", "voltage_volume"),
     "cache": ("enable_compilation_cache",),
@@ -41,6 +42,7 @@ if typing.TYPE_CHECKING:
     from .continuation import Steps, Trace, trace
     from .diagram import Diagram, pressure_volume, voltage_volume
     from .ensemble import Curves, Outcome, Point, Ramps, chamber_curves, chamber_ramps, pressure_ramps
+    from .family import SurfaceFamily
     from .loading import Chamber, ConstantPressure, ConstantVoltage
     from .materials import (
         ArrudaBoyce,

@@ -143,14 +143,15 @@ def _map_chunk(material, apex_stretch, load, prestretch, steps):
 
 
 def map_nodes(material, apex_stretch, load, prestretch, steps):
-    """The explicit map at (λa, t), chunk by chunk through one compiled program, on all cores."""
+    """The explicit map at (λa, t, λ0), chunk by chunk through one compiled program, on all cores."""
     count = len(apex_stretch)
     padding = -count % _CHUNK
-    apex, t = (np.pad(v, (0, padding), mode="edge") for v in (apex_stretch, load))
+    given = np.broadcast_arrays(apex_stretch, load, prestretch)
+    apex, t, rim = (np.pad(v, (0, padding), mode="edge") for v in given)
 
     def work(i):
         chunk = slice(i, i + _CHUNK)
-        return [np.asarray(v) for v in _map_chunk(material, apex[chunk], t[chunk], prestretch, steps)]
+        return [np.asarray(v) for v in _map_chunk(material, apex[chunk], t[chunk], rim[chunk], steps)]
 
     begins = range(0, count + padding, _CHUNK)
     parts = [work(0), *threads().map(work, begins[1:])]  # the first alone: it compiles

@@ -13,34 +13,53 @@ of the solver goes on to the radius R* where λ2 = λ0; by the scaling (R, r, z,
 p R*, V/R*³, z/R*, C/R*². The energy comes from the scaling identity at the rim.
 """
 
+import abc
 import dataclasses
 import itertools
+import typing
 
 import jax.numpy as jnp
 import numpy as np
 
 from .chart import map_nodes
+from .elements import NODES, Element, Sampler, Task, coefficients, fresh_places, marks, node_points, read, refine
 from .kept import kept_jit
 from .materials import AbstractMaterial, largest_load, stresses
 from .membrane import Membrane, slopes
 from .programs import run_chunks
 from .shooting import eighth_order_step, integrate_membrane
 
-__all__ = ["QUANTITIES", "Element", "build_elements", "coefficients", "sheet_states"]
+__all__ = ["QUANTITIES", "build_elements", "columns", "edge_factors", "rim_state", "sheet_states"]
 
 QUANTITIES = ("pressure", "volume", "height", "charge_per_voltage", "energy")
-NODES = (16, 20)  # of an element, along λa and t
-_MAP_STEPS = 28.0  # of the explicit map, which only starts the first shots
+MAP_STEPS = 28.0  # of the explicit map, which only starts the first shots
 _COLUMNS = (0.0, 0.04, 0.12, 0.25, 0.4, 0.55, 0.7, 0.82, 0.91, 0.965, 1.0)  # shares of the stretch, to begin with
 _PANELS = (-0.3, 0.2, 0.55, 0.78)  # of t, to begin with
-_ROUNDS = 7
-_FRESH = 6  # states of an element that measure its error
+
+
+def rim_state(material: AbstractMaterial, p, q, rim, end):
+    """p, V, z, C, U of the state whose rim is where λ2 = `rim`: there `end` holds R, λ1, θ, V, z, C of a pressure p."""
+    radius, l1, theta, volume, height, charge = end
+    pressure, volume, charge = p * radius, volume / radius**3, charge / radius**2
+    sine, cosine = jnp.sin(theta), jnp.cos(theta)
+    s1 = stresses(material, l1, rim, q)[0]
+    density = material.energy(l1, rim) - q * (l1 * rim) ** 2 / 2
+    at_rim = density - pressure * rim**2 * l1 * sine / 2 + (rim - l1 * cosine) * s1 * cosine
+    energy = jnp.pi * at_rim + 1.5 * pressure * volume + q * charge / 2
+    return pressure, volume, height / radius, charge, energy
+
+
+def state_rates(radius, l1, l2, theta, bends):
+    """d/dR of λ1, λ2, θ (`bends`), V, z, C."""
+    rise = l1 * jnp.sin(theta)
+    ring = 2 * jnp.pi * radius * (l1 * l2) ** 2
+    return jnp.stack([*bends, jnp.pi * (radius * l2) ** 2 * rise, rise, ring])
 
 
 @kept_jit
-def _sheet_program(material: AbstractMaterial, u, rim, steps):
-    """p, V, z, C, U at (λa, q) from a pressure right to a few digits; u holds (λa, guess of p, q)."""
-    apex, p, q = u
+def _sheet_program(material: AbstractMaterial, u, steps):
+    """p, V, z, C, U at (λa, q) from a pressure right to a few digits; u holds (λa, guess of p, q, λ0)."""
+    apex, p, q, rim = u
     shot = integrate_membrane(material, apex, p, q, steps, outputs=True, trail="profile")
     times, values, _ = shot.trail
     last = values[jnp.sum(jnp.isfinite(times)) - 1]
@@ -48,33 +67,26 @@ def _sheet_program(material: AbstractMaterial, u, rim, steps):
 
     def rates(radius, y):
         l1, l2, theta = apex + y[0], apex + y[1], y[2]
-        rate1, rate2, bend = slopes(material, radius, l1, l2, theta, p, q)
-        rise = l1 * jnp.sin(theta)
-        ring = 2 * jnp.pi * radius * (l1 * l2) ** 2
-        return jnp.stack([rate1, rate2, bend, jnp.pi * (radius * l2) ** 2 * rise, rise, ring])
+        return state_rates(radius, l1, l2, theta, slopes(material, radius, l1, l2, theta, p, q))
 
     radius = jnp.ones_like(apex)
     for _ in range(2):  # Newton for λ2(R*) = λ0
         move = (rim - apex - end[1]) / rates(radius, end)[1]
         end = eighth_order_step(rates, radius, move, end)
         radius = radius + move
-    l1, l2, theta = apex + end[0], rim, end[2]
-    pressure, volume = p * radius, end[3] / radius**3
-    charge = end[5] / radius**2
-    sine, cosine = jnp.sin(theta), jnp.cos(theta)
-    s1 = stresses(material, l1, l2, q)[0]
-    density = material.energy(l1, l2) - q * (l1 * l2) ** 2 / 2
-    at_rim = density - pressure * rim**2 * l1 * sine / 2 + (rim - l1 * cosine) * s1 * cosine
-    energy = jnp.pi * at_rim + 1.5 * pressure * volume + q * charge / 2
-    return pressure, volume, end[4] / radius, charge, energy, jnp.abs(radius - 1)
+    state = rim_state(material, p, q, rim, (radius, apex + end[0], *end[2:]))
+    return *state, jnp.abs(radius - 1)
 
 
-def sheet_states(membrane: Membrane, apex, load, guess, steps: float) -> np.ndarray:
-    """p, V, z, C, U of states (λa, t), shape (5, n), from guesses of their pressures; NaN where a guess was too far."""
-    rim = float(membrane.prestretch)
-    limit = run_chunks(lambda part: [largest_load(membrane.material, part[0])], np.stack([apex, load, guess]))[0]
-    u = np.stack([apex, guess, load * limit])
-    *values, away = run_chunks(lambda part: _sheet_program(membrane.material, part, rim, steps), u)
+def sheet_states(material: AbstractMaterial, apex, load, rim, guess, steps: float) -> np.ndarray:
+    """p, V, z, C, U of states (λa, t, λ0), shape (5, n), from guesses of their pressures.
+
+    All are arrays of shape (n,), or numbers; NaN where a guess was too far.
+    """
+    apex, load, rim, guess = np.broadcast_arrays(apex, load, rim, guess)
+    limit = run_chunks(lambda part: [largest_load(material, part[0])], np.stack([apex, load, guess]))[0]
+    u = np.stack([apex, guess, load * limit, rim])
+    *values, away = run_chunks(lambda part: _sheet_program(material, part, steps), u)
     return np.where(away < 0.05, np.stack(values), np.nan)
 
 
@@ -92,164 +104,93 @@ def relative_error(value, exact) -> np.ndarray:
     return np.nan_to_num(error, nan=np.inf)
 
 
-@dataclasses.dataclass(frozen=True)
-class Element:
-    """One rectangle of the chart: its edges, the coefficients (5, 16, 20), the steps of its shots, its measured error."""
-
-    apex: tuple[float, float]
-    load: tuple[float, float]
-    coefficients: np.ndarray
-    steps: float
-    error: float = np.inf
+def logarithms(values: np.ndarray, factors) -> np.ndarray:
+    """What the polynomials interpolate, from the quantities (5, …); NaN where a state is missing."""
+    with np.errstate(all="ignore"):
+        return np.log(values / np.asarray(factors))
 
 
-def _unit_nodes(count: int) -> np.ndarray:
-    return -np.cos(np.pi * (np.arange(count) + 0.5) / count)
+class AbstractBuilder(Sampler):
+    """Samples boxes with shots, and measures the error of elements at fresh ones."""
+
+    material: AbstractMaterial
+    fresh: typing.ClassVar[int]  # states of an element that measure its error
+
+    @abc.abstractmethod
+    def rims(self, places: np.ndarray) -> np.ndarray:
+        """The prestretches (n,) at points (axes, n)."""
+
+    def factors(self, places: np.ndarray) -> np.ndarray:
+        """The edge factors (5, n) at points (axes, n)."""
+        return np.asarray(edge_factors(self.material, places[0], places[1], self.rims(places)))
+
+    def shots(self, steps: list, places: list, guesses: list) -> list[np.ndarray]:
+        """The states at many sets of points, those of equal steps together."""
+        out: list = [None] * len(places)
+        for n in sorted(set(steps)):
+            which = [k for k in range(len(places)) if steps[k] == n]
+            x, guess = np.concatenate([places[k] for k in which], 1), np.concatenate([guesses[k] for k in which])
+            found = sheet_states(self.material, x[0], x[1], self.rims(x), guess, n)
+            for k, values in zip(which, np.split(found, len(which), axis=1), strict=True):
+                out[k] = values
+        return out
+
+    def guesses(self, tasks: list[Task], places: list[np.ndarray]) -> list[np.ndarray]:
+        """Pressures right to a few digits at points of boxes: from their parents, or from the explicit map."""
+        out: list = [None] * len(tasks)
+        for k, task in enumerate(tasks):
+            if task.parent is not None:
+                out[k] = np.exp(read(task.parent, places[k])[0]) * self.factors(places[k])[0]
+        new = [k for k, guess in enumerate(out) if guess is None]
+        if new:
+            x = np.concatenate([places[k] for k in new], axis=1)
+            mapped = map_nodes(self.material, x[0], x[1], self.rims(x), MAP_STEPS)[0]
+            for k, p in zip(new, np.split(mapped, len(new)), strict=True):
+                out[k] = p
+        return out
+
+    def measure(self, elements: list[Element], seed: int) -> list[Element]:
+        places = fresh_places(elements, seed, self.fresh)
+        values = [np.exp(read(e, x)) * self.factors(x) for e, x in zip(elements, places, strict=True)]
+        exact = self.shots([1.5 * e.steps for e in elements], places, [v[0] for v in values])
+        errors = [float(relative_error(v, x).max()) for v, x in zip(values, exact, strict=True)]
+        return [dataclasses.replace(e, error=error) for e, error in zip(elements, errors, strict=True)]
 
 
-def _to_coefficients(count: int) -> np.ndarray:
-    """The matrix from values at Chebyshev–Gauss nodes to coefficients."""
-    matrix = 2 / count * np.cos(np.outer(np.arange(count), np.pi - np.pi * (np.arange(count) + 0.5) / count))
-    matrix[0] /= 2
-    return matrix
+class _Builder(AbstractBuilder):
+    """Elements of (λa, t) for one membrane, from one shot a node."""
 
+    fresh = 6
 
-def coefficients(values: np.ndarray) -> np.ndarray:
-    """Chebyshev coefficients (…, n, m) of values at the nodes (…, n, m) of an element."""
-    return np.einsum("ia,jb,...ab->...ij", _to_coefficients(NODES[0]), _to_coefficients(NODES[1]), values)
+    def __init__(self, membrane: Membrane):
+        self.material, self.rim = membrane.material, float(membrane.prestretch)
 
+    def rims(self, places):
+        return np.full(places.shape[1], self.rim)
 
-def _points(apex: tuple, load: tuple, x: np.ndarray, y: np.ndarray):
-    """(λa, t) of local coordinates in [−1, 1]."""
-    a = apex[0] + (apex[1] - apex[0]) * (x + 1) / 2
-    return a, load[0] + (load[1] - load[0]) * (y + 1) / 2
-
-
-def _local(element: Element, apex, load) -> np.ndarray:
-    """The five interpolated logarithms (5, n) of an element at points inside it."""
-    x = 2 * (apex - element.apex[0]) / (element.apex[1] - element.apex[0]) - 1
-    y = 2 * (load - element.load[0]) / (element.load[1] - element.load[0]) - 1
-    along = np.polynomial.chebyshev.chebvander(x, NODES[0] - 1)
-    across = np.polynomial.chebyshev.chebvander(y, NODES[1] - 1)
-    return np.einsum("qij,ni,nj->qn", element.coefficients, along, across)
+    def sample(self, tasks):
+        places = [node_points(task.edges) for task in tasks]
+        found = self.shots([t.steps for t in tasks], places, self.guesses(tasks, places))
+        logs = [logarithms(v, self.factors(x)).reshape(-1, *NODES[:2]) for v, x in zip(found, places, strict=True)]
+        return [Element(t.edges, coefficients(v), t.steps) for t, v in zip(tasks, logs, strict=True)]
 
 
 def _first_steps(load_top: float) -> float:
     return 48.0 if load_top <= 0.56 else 80.0 if load_top <= 0.8 else 128.0
 
 
-def _tails(c: np.ndarray) -> tuple[float, float]:
-    """The size of the last coefficients along λa and along t."""
-    along = np.abs(c[:, -2:]).max(axis=(1, 2)).max()
-    across = np.abs(c[..., -2:]).max(axis=(1, 2)).max()
-    return float(along), float(across)
+def columns(low: float, high: float, bottom: float, top) -> list[Task]:
+    """The rectangles (λa, t) to begin with: λa from `low` to `high`, t from `bottom` to `top(λa)`."""
+    found = []
+    for apex in itertools.pairwise(low + (high - low) * np.array(_COLUMNS)):
+        limit = top(np.linspace(*apex, 9)).max()
+        found += [Task((apex, load), _first_steps(load[1])) for load in marks(bottom, _PANELS, limit, 0.05)]
+    return found
 
 
-def _halves(edges: tuple[float, float]):
-    middle = (edges[0] + edges[1]) / 2
-    return (edges[0], middle), (middle, edges[1])
-
-
-class _Builder:
-    """Samples rectangles of the chart and cuts them until the tails of their coefficients are small."""
-
-    def __init__(self, membrane: Membrane, tolerance: float):
-        self.membrane, self.tolerance = membrane, tolerance
-        self.rim = float(membrane.prestretch)
-
-    def sample(self, tasks: list["_Task"]) -> list[Element]:
-        """The elements of rectangles of the chart."""
-        x, y = (v.ravel() for v in np.meshgrid(_unit_nodes(NODES[0]), _unit_nodes(NODES[1]), indexing="ij"))
-        points = [_points(task.apex, task.load, x, y) for task in tasks]
-        factors = [np.asarray(edge_factors(self.membrane.material, a, t, self.rim)) for a, t in points]
-        guesses: list = [None] * len(tasks)
-        for k, task in enumerate(tasks):
-            if task.parent is not None:
-                guesses[k] = np.exp(_local(task.parent, *points[k])[0]) * factors[k][0]
-        new = [k for k, guess in enumerate(guesses) if guess is None]
-        if new:
-            a, t = (np.concatenate([points[k][i] for k in new]) for i in (0, 1))
-            mapped = map_nodes(self.membrane.material, a, t, self.rim, _MAP_STEPS)[0]
-            for k, p in zip(new, np.split(mapped, len(new)), strict=True):
-                guesses[k] = p
-        found = self._states([t.steps for t in tasks], points, guesses)
-        with np.errstate(all="ignore"):
-            logs = [np.log(v / f).reshape(len(QUANTITIES), *NODES) for v, f in zip(found, factors, strict=True)]
-        return [Element(t.apex, t.load, coefficients(v), t.steps) for t, v in zip(tasks, logs, strict=True)]
-
-    def _states(self, steps: list, points: list, guesses: list) -> list[np.ndarray]:
-        """The states of many sets of points, those of equal steps together."""
-        out: list = [None] * len(points)
-        for n in sorted(set(steps)):
-            which = [k for k in range(len(points)) if steps[k] == n]
-            a, t = (np.concatenate([points[k][i] for k in which]) for i in (0, 1))
-            found = sheet_states(self.membrane, a, t, np.concatenate([guesses[k] for k in which]), n)
-            for k, values in zip(which, np.split(found, len(which), axis=1), strict=True):
-                out[k] = values
-        return out
-
-    def measure(self, elements: list[Element], seed: int) -> list[Element]:
-        """The elements with the largest relative error at fresh states."""
-        random = np.random.default_rng(seed)
-        places = random.uniform(-1, 1, (2, len(elements), _FRESH))
-        places[:, :, 0] = np.sign(places[:, :, 0]) * 0.999  # a corner: there the error is often largest
-        points = [_points(e.apex, e.load, *places[:, k]) for k, e in enumerate(elements)]
-        factors = [np.asarray(edge_factors(self.membrane.material, a, t, self.rim)) for a, t in points]
-        values = [np.exp(_local(e, *xy)) * f for e, xy, f in zip(elements, points, factors, strict=True)]
-        exact = self._states([1.5 * e.steps for e in elements], points, [v[0] for v in values])
-        errors = [float(relative_error(v, x).max()) for v, x in zip(values, exact, strict=True)]
-        return [dataclasses.replace(e, error=error) for e, error in zip(elements, errors, strict=True)]
-
-
-@dataclasses.dataclass(frozen=True)
-class _Task:
-    """A rectangle to be sampled, with the element that guesses its pressures."""
-
-    apex: tuple[float, float]
-    load: tuple[float, float]
-    steps: float
-    parent: Element | None = None
-
-
-def build_elements(membrane: Membrane, stretches, bottom: float, top, tolerance: float) -> list[Element]:
-    """Elements over λ0…stretches[1] and t from `bottom` to `top(λa)`, each below `tolerance` at fresh states.
+def build_elements(membrane: Membrane, high: float, bottom: float, top, tolerance: float) -> list[Element]:
+    """Elements over λ0…`high` and t from `bottom` to `top(λa)`, each below `tolerance` at fresh states.
 
     Those that cutting does not bring there are left out; the surface's domain is what remains.
     """
-    builder = _Builder(membrane, tolerance)
-    rim, high = float(membrane.prestretch), stretches[1]
-    edges = rim + (high - rim) * np.array(_COLUMNS)
-
-    def panels(apex):
-        limit = top(np.linspace(apex[0], apex[1], 9)).max()
-        inner = [x for x in _PANELS if bottom + 0.05 < x < limit - 0.05]
-        marks = [bottom, *inner, limit]
-        return [(apex, load) for load in itertools.pairwise(marks)]
-
-    columns = itertools.pairwise(edges)
-    todo = [_Task(apex, load, _first_steps(load[1])) for a in columns for apex, load in panels(a)]
-    done: list[Element] = []
-    for round_ in range(_ROUNDS):
-        if not todo:
-            break
-        settled, cut = [], []
-        for e in builder.sample(todo):
-            (settled if max(_tails(e.coefficients)) <= 0.1 * tolerance else cut).append(e)
-        todo = [task for e in cut for task in _cut(e, 0.1 * tolerance)]
-        for e in builder.measure(settled, round_):
-            if e.error <= 0.5 * tolerance:
-                done.append(e)
-            elif e.steps < 160:  # smooth, and yet in error: the shots are
-                todo.append(_Task(e.apex, e.load, 1.6 * e.steps, e))
-            else:
-                todo += _cut(e, 0.0)
-    return done
-
-
-def _cut(element: Element, least: float) -> list[_Task]:
-    """The rectangles an element is cut into: across the directions whose tails exceed `least`."""
-    along, across = _tails(element.coefficients)
-    known = np.isfinite(along)
-    columns = _halves(element.apex) if not along <= least else (element.apex,)
-    rows = _halves(element.load) if not across <= least else (element.load,)
-    return [_Task(a, t, element.steps, element if known else None) for a in columns for t in rows]
+    return refine(_Builder(membrane), columns(float(membrane.prestretch), high, bottom, top), tolerance)

@@ -197,16 +197,17 @@ def integrate_membrane(
     trail: str | None = None,
     heights: bool = False,
     adaptive: bool = False,
+    start: float = _START,
 ) -> Shot:
     """One integration from apex to rim at R = 1.
 
     `columns` lists the wanted derivatives: names of `COLUMNS`, or the index of a leaf of `material`. `outputs` adds
-    height and charge to the state, `trail` the values after every step: "sensitivity" or "profile" (with z as its last entry where `heights` is asked for).
+    height and charge to the state, `trail` the values after every step: "sensitivity", "profile" (with z as its last entry where `heights` is asked for), or the whole "states". `start` is where the apex series hands over, as a share of A.
     """
     inputs = jnp.broadcast_arrays(*(jnp.asarray(v, float) for v in (apex_stretch, pressure, q)))
     kappa = jax.lax.stop_gradient(apex_series(material, *inputs)[2])
     scale = jnp.minimum(1 / kappa, 1.0)
-    first = _START * scale
+    first = start * scale
     position = graded_map(scale, first)
     leaves, treedef = jax.tree.flatten(material)
 
@@ -258,10 +259,10 @@ def integrate_membrane(
 
     shape = inputs[0].shape
     zero = [jnp.zeros(shape)] * states
-    start = [jnp.broadcast_to(v, shape) for v in series(theta)]
+    begin = [jnp.broadcast_to(v, shape) for v in series(theta)]
     for column in integrated:
         tangent = along(lambda y, theta: series(theta), zero, zero, column)[1]
-        start += [jnp.broadcast_to(v, shape) for v in tangent[:4]]
+        begin += [jnp.broadcast_to(v, shape) for v in tangent[:4]]
 
     def field(tau, y):
         radius, stretching = position(tau)
@@ -284,8 +285,9 @@ def integrate_membrane(
         None: None,
         "sensitivity": lambda y: 1.0 + y[(apex_at or 0) + 1],
         "profile": lambda y: jnp.concatenate([y[:3], y[4:5]]) if heights else y[:3],
+        "states": lambda y: y[:states],
     }[trail]
-    end, marks = integrate(field, jnp.stack(start), steps, trail=record, adaptive=adaptive)
+    end, marks = integrate(field, jnp.stack(begin), steps, trail=record, adaptive=adaptive)
     found = {}
     for i, column in enumerate(integrated):
         at = states + 4 * i
@@ -294,7 +296,7 @@ def integrate_membrane(
         rate = rates(jnp.ones(shape), [end[i] for i in range(states)], theta)
         # scaling: λ2 depends on pR alone, V p³ likewise; at p = 0 the limits are 0 and V/p, which no lane asks for
         found["pressure"] = (rate[1] / inputs[1], (rate[3] - 3 * end[3]) / inputs[1])
-    if trail == "profile":
+    if trail in ("profile", "states"):
         assert marks is not None
         times, values = marks
 

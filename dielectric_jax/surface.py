@@ -4,10 +4,6 @@ Built once from a few thousand shots (seconds), it gives pressure, volume, heigh
 microseconds, differentiably to any order. Chambers, pressures and fillings only draw contours on it.
 """
 
-import hashlib
-import io
-import json
-import pathlib
 import typing
 
 import equinox as eqx
@@ -16,18 +12,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .cache import cache_folder
-from .kept import of_this_package
-from .materials import largest_load
+from .archive import cached_path, fingerprint, kept_or_none, read_archive, same_fingerprint, write_archive
+from .elements import NODES, Element, chebyshev, locate, pack, unit_place
+from .materials import AbstractBreakdown, AbstractMaterial, largest_load
 from .membrane import Membrane
 from .results import check_positive
 from .scene import SCANNED_LOAD
-from .sheet import NODES, QUANTITIES, Element, build_elements, edge_factors
+from .sheet import QUANTITIES, build_elements, edge_factors
 
 __all__ = ["ById", "SheetState", "Surface"]
 
 _FORMAT = "dielectric_jax surface 1"
-_BOTTOM = -0.75
+BOTTOM = -0.75
 _ABOVE_BREAKDOWN = 1.3
 _BOUND = 4.0  # times the largest error seen at the fresh states of an element
 _LEAST_BOUND = 3e-12  # what independent methods can tell
@@ -43,12 +39,30 @@ class SheetState(typing.NamedTuple):
     energy: Array
 
 
-def _chebyshev(x, count: int):
-    """T_0(x) … T_{count−1}(x), stacked on the last axis."""
-    terms = [jnp.ones_like(x), x]
-    for _ in range(count - 2):
-        terms.append(2 * x * terms[-1] - terms[-2])
-    return jnp.stack(terms, axis=-1)
+def with_charge(values, q) -> SheetState:
+    """The state of p, V, z, C = Q/Φ, U at loads q."""
+    p, v, z, c, u = values
+    root = jnp.sqrt(jnp.where(q > 0, q, 1.0))
+    return SheetState(p, v, z, c * jnp.where(q > 0, root, jnp.where(q == 0, 0.0, jnp.nan)), u)
+
+
+def bound_of(errors, element):
+    """The bound of the relative error in an element; inf outside the domain."""
+    return jnp.where(element >= 0, jnp.maximum(_BOUND * errors[element], _LEAST_BOUND), jnp.inf)
+
+
+def check_tolerance(tolerance: float, noun: str) -> None:
+    """Refuses a tolerance that no state meets, or that is none."""
+    check_positive("tolerance", tolerance)
+    if not 1e-11 <= tolerance <= 1e-3:
+        raise ValueError(f"`tolerance` of a {noun} must lie between 1e-11 and 0.001, but is {tolerance!r}.")
+
+
+def top_load(material: AbstractMaterial, law: AbstractBreakdown, apex) -> np.ndarray:
+    """The largest t of the domain at λa: 1.3 times that of breakdown at the apex, at most 0.9."""
+    with np.errstate(all="ignore"):
+        load = np.asarray(law.field(apex)) ** 2 / apex**4 / np.asarray(largest_load(material, apex))
+    return np.minimum(SCANNED_LOAD, _ABOVE_BREAKDOWN * np.nan_to_num(load, nan=1.0, posinf=1.0))
 
 
 class Surface(eqx.Module):
@@ -88,45 +102,35 @@ class Surface(eqx.Module):
         """
         if not isinstance(membrane, Membrane):
             raise ValueError(f"`membrane` must be a Membrane, but is a {type(membrane).__name__}.")
-        check_positive("tolerance", tolerance)
-        if not 1e-11 <= tolerance <= 1e-3:
-            raise ValueError(f"`tolerance` of a surface must lie between 1e-11 and 0.001, but is {tolerance!r}.")
-        path = _cached_path(membrane, tolerance) if cache else None
-        if path is not None and path.exists():
-            try:
-                return cls.load(path, membrane)
-            except ValueError:
-                path.unlink()  # damaged: built again below
+        check_tolerance(tolerance, "surface")
+        path = cached_path("surfaces", _FORMAT, membrane, fingerprint(membrane), tolerance) if cache else None
+        known = kept_or_none(lambda path: cls.load(path, membrane), path)
+        if known is not None:
+            return known
         high = membrane.lock_up_stretch()[0]
-        law = membrane.breakdown
 
         def top(apex):
-            with np.errstate(all="ignore"):
-                load = np.asarray(law.field(apex)) ** 2 / apex**4 / np.asarray(largest_load(membrane.material, apex))
-            return np.minimum(SCANNED_LOAD, _ABOVE_BREAKDOWN * np.nan_to_num(load, nan=1.0, posinf=1.0))
+            return top_load(membrane.material, membrane.breakdown, apex)
 
-        elements = build_elements(membrane, (float(membrane.prestretch), high), _BOTTOM, top, tolerance)
+        elements = build_elements(membrane, high, BOTTOM, top, tolerance)
         if not elements:
             raise ValueError(
                 f"`tolerance` must be looser for this membrane: no part of its chart was met to {tolerance:g}."
             )
-        surface = cls(membrane=membrane, **_pack(elements), tolerance=tolerance)
+        surface = cls.of_elements(membrane, elements, tolerance)
         if path is not None:
-            path.parent.mkdir(parents=True, exist_ok=True)
             surface.save(path)
         return surface
 
+    @classmethod
+    def of_elements(cls, membrane: Membrane, elements: list[Element], tolerance: float) -> "Surface":
+        """The surface that elements make up."""
+        edges, arrays = pack(elements)
+        return cls(membrane, *map(jnp.asarray, (*edges, *arrays)), tolerance=tolerance)
+
     def locate(self, apex_stretch, load_fraction):
         """The element that covers points of the chart, −1 outside the domain."""
-        column = jnp.searchsorted(self.apex_edges, apex_stretch, side="right") - 1
-        row = jnp.searchsorted(self.load_edges, load_fraction, side="right") - 1
-        columns, rows = self.cells.shape
-        # the far edges belong to the last cells
-        column = jnp.where(apex_stretch == self.apex_edges[-1], columns - 1, column)
-        row = jnp.where(load_fraction == self.load_edges[-1], rows - 1, row)
-        inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-        cell = self.cells[jnp.clip(column, 0, columns - 1), jnp.clip(row, 0, rows - 1)]
-        return jnp.where(inside, cell, -1)
+        return locate((self.apex_edges, self.load_edges), self.cells, (apex_stretch, load_fraction))
 
     def at_load_fraction(self, apex_stretch, load_fraction, wanted: tuple = QUANTITIES):
         """The `wanted` quantities at (λa, t): a list of arrays of one shape; NaN outside the domain."""
@@ -134,9 +138,8 @@ class Surface(eqx.Module):
         which = [QUANTITIES.index(name) for name in wanted]
         element = self.locate(apex, t)
         box = self.boxes[element]
-        x = 2 * (apex - box[..., 0]) / (box[..., 1] - box[..., 0]) - 1
-        y = 2 * (t - box[..., 2]) / (box[..., 3] - box[..., 2]) - 1
-        along, across = _chebyshev(x, NODES[0]), _chebyshev(y, NODES[1])
+        along = chebyshev(unit_place(box[..., 0], box[..., 1], apex), NODES[0])
+        across = chebyshev(unit_place(box[..., 2], box[..., 3], t), NODES[1])
         logs = jnp.einsum("...qij,...i,...j->q...", self.coefficients[:, jnp.array(which)][element], along, across)
         rim = self.membrane.prestretch
         inside = (element >= 0) & (apex > rim)
@@ -148,9 +151,7 @@ class Surface(eqx.Module):
         """The state at (λa, q), elementwise over arrays of one shape; differentiable to any order, also in q."""
         q = jnp.asarray(voltage_squared, float)
         t = q / largest_load(self.membrane.material, apex_stretch)
-        p, v, z, c, u = self.at_load_fraction(apex_stretch, t)
-        root = jnp.sqrt(jnp.where(q > 0, q, 1.0))
-        return SheetState(p, v, z, c * jnp.where(q > 0, root, jnp.where(q == 0, 0.0, jnp.nan)), u)
+        return with_charge(self.at_load_fraction(apex_stretch, t), q)
 
     def covers(self, apex_stretch, voltage_squared):
         """Whether the domain holds the states (λa, q)."""
@@ -160,8 +161,7 @@ class Surface(eqx.Module):
     def error_bound(self, apex_stretch, voltage_squared):
         """The bound of the relative error |error|/max(|value|, 1e-3) at (λa, q); inf outside the domain."""
         t = voltage_squared / largest_load(self.membrane.material, apex_stretch)
-        element = self.locate(jnp.asarray(apex_stretch, float), t)
-        return jnp.where(element >= 0, jnp.maximum(_BOUND * self.errors[element], _LEAST_BOUND), jnp.inf)
+        return bound_of(self.errors, self.locate(jnp.asarray(apex_stretch, float), t))
 
     def breakdown_load(self, apex_stretch):
         """q_b(λa) = (E_EB(λa)/λa²)², the load at which the field of the apex reaches the breakdown law."""
@@ -176,14 +176,7 @@ class Surface(eqx.Module):
     def save(self, path) -> None:
         """Writes the surface to a file of NumPy arrays (.npz), with a checksum and the membrane's fingerprint."""
         arrays = {name: np.asarray(getattr(self, name)) for name in _ARRAYS}
-        header = {"format": _FORMAT, "tolerance": self.tolerance, "checksum": _checksum(arrays)}
-        buffer = io.BytesIO()
-        more = {"header": np.array(json.dumps(header)), "fingerprint": _fingerprint(self.membrane)}
-        np.savez(buffer, **typing.cast(typing.Any, arrays | more))
-        path = pathlib.Path(path)
-        partial = path.with_name(path.name + ".part")
-        partial.write_bytes(buffer.getvalue())
-        partial.replace(path)
+        write_archive(path, _FORMAT, arrays, fingerprint(self.membrane), tolerance=self.tolerance)
 
     @classmethod
     def load(cls, path, membrane: Membrane) -> "Surface":
@@ -191,23 +184,8 @@ class Surface(eqx.Module):
 
         Raises ValueError in one sentence for a damaged file, one of another format, or another membrane's.
         """
-        try:
-            with open(path, "rb") as file:
-                data = dict(np.load(file, allow_pickle=False))
-            header = json.loads(str(data["header"]))
-            arrays = {name: data[name] for name in _ARRAYS}
-        except FileNotFoundError:
-            raise ValueError(f"`path` must name a surface file, but there is no file {str(path)!r}.") from None
-        except Exception:
-            raise ValueError(f"`path` must hold a surface, but {str(path)!r} is damaged or of another kind.") from None
-        if header.get("format") != _FORMAT:
-            raise ValueError(
-                f"`path` must hold a surface of the format {_FORMAT!r}, but {str(path)!r} has {header.get('format')!r}."
-            )
-        if header["checksum"] != _checksum(arrays):
-            raise ValueError(f"`path` must hold a surface, but {str(path)!r} is damaged: its checksum differs.")
-        own = _fingerprint(membrane)
-        if own.shape != data["fingerprint"].shape or not np.allclose(data["fingerprint"], own, rtol=1e-13, atol=0):
+        header, arrays, built_for = read_archive(path, _FORMAT, "surface", _ARRAYS)
+        if not same_fingerprint(built_for, fingerprint(membrane)):
             raise ValueError(f"`membrane` must be the one the surface was built for, but {str(path)!r} is another's.")
         parts: dict[str, typing.Any] = {name: jnp.asarray(arrays[name]) for name in _ARRAYS}
         return cls(membrane=membrane, **parts, tolerance=float(header["tolerance"]))
@@ -233,45 +211,3 @@ class ById:
 
 
 _ARRAYS = ("apex_edges", "load_edges", "cells", "boxes", "coefficients", "errors")
-
-
-def _pack(elements: list[Element]) -> dict[str, typing.Any]:
-    """The arrays of a surface."""
-    boxes = np.array([[*e.apex, *e.load] for e in elements], float)
-    apex, load = np.unique(boxes[:, :2]), np.unique(boxes[:, 2:])
-    cells = np.full((len(apex) - 1, len(load) - 1), -1)
-    for k, (a0, a1, t0, t1) in enumerate(boxes):
-        columns = slice(np.searchsorted(apex, a0), np.searchsorted(apex, a1))
-        cells[columns, np.searchsorted(load, t0) : np.searchsorted(load, t1)] = k
-    polynomials = np.stack([e.coefficients for e in elements])
-    errors = np.array([e.error for e in elements])
-    arrays = (apex, load, cells, boxes, polynomials, errors)
-    return {name: jnp.asarray(v) for name, v in zip(_ARRAYS, arrays, strict=True)}
-
-
-def _checksum(arrays: dict) -> str:
-    digest = hashlib.sha256()
-    for name in _ARRAYS:
-        digest.update(np.ascontiguousarray(arrays[name]).tobytes())
-    return digest.hexdigest()
-
-
-def _fingerprint(membrane: Membrane) -> np.ndarray:
-    """Numbers that tell membranes apart: prestretch, lock-up, energies and breakdown fields at some stretches."""
-    rim, high = float(membrane.prestretch), membrane.lock_up_stretch()[0]
-    l1 = 1 + (high - 1) * np.array([0.05, 0.2, 0.35, 0.5, 0.65, 0.8, 0.93])
-    l2 = l1[[2, 0, 1, 4, 3, 6, 5]]
-    probes = [membrane.material.energy(jnp.asarray(l1), jnp.asarray(v)) for v in (l1, l2)]
-    return np.concatenate(
-        [[rim, high], *map(np.asarray, probes), np.asarray(membrane.breakdown.field(jnp.asarray(l1)))]
-    )
-
-
-def _cached_path(membrane: Membrane, tolerance: float) -> pathlib.Path | None:
-    """Where the surface of a membrane is kept; None with the cache off, or for a material outside this package."""
-    folder = cache_folder()
-    if folder is None or not of_this_package(membrane):
-        return None
-    kinds = f"{_FORMAT} {type(membrane.material).__name__} {type(membrane.breakdown).__name__} {tolerance!r}"
-    key = hashlib.sha256(kinds.encode() + _fingerprint(membrane).tobytes()).hexdigest()[:32]
-    return folder / "surfaces" / f"{key}.npz"
