@@ -162,7 +162,11 @@ class SurfaceFamily(eqx.Module):
         return self._element(apex_stretch, voltage_squared, prestretch) >= 0
 
     def error_bound(self, apex_stretch, voltage_squared, prestretch):
-        """The bound of the relative error |error|/max(|value|, 1e-3) at (λa, q, λ0); inf outside the domain."""
+        """The bound of the relative error |error|/max(|value|, 1e-3) at (λa, q, λ0); inf outside the domain.
+
+        It is that of the states of the stretches as given: closer to the flat membrane than λa − λ0 = 1e-5 the last digit of
+        the stretches moves a state by more.
+        """
         return bound_of(self.errors, self._element(apex_stretch, voltage_squared, prestretch))
 
     def _fraction(self, apex_stretch, voltage_squared):

@@ -183,7 +183,7 @@ def columns(low: float, high: float, bottom: float, top) -> list[Task]:
     """The rectangles (λa, t) to begin with: λa from `low` to `high`, t from `bottom` to `top(λa)`."""
     found = []
     for apex in itertools.pairwise(low + (high - low) * np.array(_COLUMNS)):
-        limit = top(np.linspace(*apex, 9)).max()
+        limit = top(np.linspace(*apex, 65)).max()
         found += [Task((apex, load), _first_steps(load[1])) for load in marks(bottom, _PANELS, limit, 0.05)]
     return found
 
