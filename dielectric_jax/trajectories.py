@@ -95,7 +95,7 @@ def _trajectory_states(material: AbstractMaterial, apex, load, pressure, sets: l
 class _Builder(AbstractBuilder):
     """Elements of (λa, t, s), from one trajectory for all nodes and all elements over a node (λa, t)."""
 
-    fresh = 30
+    fresh = 48
 
     def __init__(self, material: AbstractMaterial):
         self.material = material
