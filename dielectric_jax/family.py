@@ -43,7 +43,7 @@ __all__ = ["SurfaceFamily"]
 _FORMAT = "dielectric_jax surface family 1"
 _ARRAYS = ("apex_edges", "load_edges", "share_edges", "cells", "boxes", "coefficients", "errors")
 _BATCH = 32  # points that are evaluated together: the polynomials of one take 200 kB
-_FRESH = 6  # points of an element of a section that measure its error
+_FRESH = 12  # points of an element of a section that measure its error
 
 
 @functools.partial(jax.jit, static_argnames="which")

@@ -160,7 +160,7 @@ class AbstractBuilder(Sampler):
 class _Builder(AbstractBuilder):
     """Elements of (λa, t) for one membrane, from one shot a node."""
 
-    fresh = 6
+    fresh = 12
 
     def __init__(self, membrane: Membrane):
         self.material, self.rim = membrane.material, float(membrane.prestretch)
