@@ -59,3 +59,15 @@ def test_chambers_on_the_surface_agree_with_continuation(tmp_path):
     group = record["groups"][0]
     assert group["chambers"] == group["compared"] + group["unresolved"] == 12
     assert group["microseconds_per_chamber"] > 0
+
+
+def test_our_engines_are_right_beside_a_peer_or_alone(tmp_path):
+    record, said = quick("peers.py", tmp_path)
+    ours = [r for r in record["records"] if not r["engine"].startswith("AUTO")]
+    names = [r["engine"] for r in ours]
+    assert names == ["continuation", "surface, certified", "surface alone", "ramp, one of 12"], said
+    for r in ours:
+        assert r["fold_error"] < 1e-9 and r["breakdown_error"] < 1e-9
+        assert r["seconds"] > 0
+    if record["auto"] == "AUTO-07p: not installed":
+        assert record["auto"] in said and len(ours) == len(record["records"])
