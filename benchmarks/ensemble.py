@@ -42,7 +42,8 @@ def pairs_of(ramps, i: int, diagram):
     outcome = Outcome(int(ramps.outcome[i]))
     if outcome is not Outcome.start_unstable:
         yield "area strain", ramps.area_strain[i], ramp.area_strain
-    up, down = ramp.events, diagram.ramp("down").events
+    up, survived = ramp.events, outcome is Outcome.breakdown_on_branch
+    down = diagram.ramp("down").events if survived and ramp["breakdown"] else ()
     seen = {name: [e.state for e in up if e.event == name] for name in ("snap", "landing", "breakdown")}
     if outcome is Outcome.no_unbroken_landing:
         seen["landing"] = seen["breakdown"] = []

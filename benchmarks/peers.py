@@ -8,7 +8,8 @@ machine, not the seconds. The rows do not hold the same:
   It prints eleven digits, so its errors below 3e-13 are chance; folds are two, and one that is missing was not located.
 - `voltage_volume`: every branch in the window and an independent scan for missed ones, 256 points or more a branch, all
   special points, stability, error estimates, the ramp up and down. On a surface the surface's building is apart.
-- `chamber_ramps`: start, snap, landing and breakdown of one chamber out of a batch, no branch.
+- `chamber_ramps`: one chamber out of a batch, its branch through the start on 256 stretches as far as it is alone there, with
+  its special points and the events of the ramp, up and down.
 
 AUTO is taken from the environment variable AUTO_DIR, else from an `auto` on the path; without it its rows are left out.
 `auto/membrane.f90` and `auto/c.chamber` are ours and are compiled by AUTO's own makefile. It gets one thread unless
@@ -128,12 +129,13 @@ def run_ramps(surface: dj.Surface, chambers: np.ndarray) -> dict:
     ramps = dj.chamber_ramps(surface, chambers, 2.42)
     seconds = time.perf_counter() - begin
     return {
-        "holds": "events of the ramp up",
+        "holds": "branch and all events",
         "seconds": seconds / len(chambers),
+        "points": 256,
         "chambers": len(chambers),
         "unresolved": int((ramps.outcome == dj.Outcome.unresolved).sum()),
-        "folds": int(ramps.snaps[-1]),
-        "snap": ramps.snap.voltage[-1],
+        "folds": int(np.isfinite(ramps.folds.volume[-1]).sum()),
+        "snap": ramps.snap.voltage[-1, 0],
         "breakdown": ramps.breakdown.voltage[-1],
     }
 

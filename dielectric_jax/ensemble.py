@@ -130,6 +130,7 @@ def _crossing_program(kind: str):
     def crossings_of(rows, lanes):
         start, conditions = _conditions(rows, lanes, kind)
         q, v, found, again = crossings(rows, conditions)
+        q, v = (jnp.where(found & ~again, w, jnp.nan) for w in (q, v))
         return jax.tree.leaves(start), jax.tree.leaves(conditions), (q, conditions.pressure(v), v, found, again)
 
     crossings_of.__name__ = f"crossings_{kind}"
@@ -157,17 +158,18 @@ def _ramps_chunk(rows: Rows, lanes, kind: str):
         told[some] = np.asarray(polish_program(rows.surface, own, told[which]))[: len(some)]
     vague = worst() > _LARGEST_ERROR
     told[vague], snaps[vague], outcome[vague] = np.nan, 0, int(Outcome.unresolved)
-    return told, marks, snaps, outcome, reach
+    return told, *marks, snaps, outcome, reach
 
 
 def _curves_chunk(rows: Rows, lanes, kind: str):
-    return _CROSSINGS[kind](rows, lanes)[2]
+    q, p, v, _, again = _CROSSINGS[kind](rows, lanes)[2]
+    return q, p, v, again
 
 
 def _run(chunk, surface: Surface, columns: list[np.ndarray], kind: str, axis: int):
-    """`chunk` on many loadings, some at a time on all cores: arrays with the shape of the loadings first.
+    """`chunk` on many loadings, some at a time on all cores: a list of arrays with the shape of the loadings first.
 
-    `axis` is where the results of `chunk` count the loadings.
+    `axis` is where the results of `chunk` count the loadings, 0 or 1 of two.
     """
     shape, rows = columns[0].shape, rows_of(ById(surface))
     flat = [values.ravel() for values in columns]
@@ -175,16 +177,18 @@ def _run(chunk, surface: Surface, columns: list[np.ndarray], kind: str, axis: in
 
     def work(i):
         part = tuple(np.pad(v[i : i + _CHUNK], (0, max(0, i + _CHUNK - v.size)), mode="edge") for v in flat)
-        return jax.tree.map(np.asarray, chunk(rows, part, kind))
+        return [np.moveaxis(np.asarray(v), axis, 0) for v in jax.tree.leaves(chunk(rows, part, kind))]
 
-    begins = range(0, count, _CHUNK)
-    parts = [work(0), *threads().map(work, begins[1:])]  # the first alone: it compiles
+    def keep(i):
+        for whole, part in zip(wholes, work(i) if i else first, strict=True):
+            whole[i : i + _CHUNK] = part[: count - i]
 
-    def join(*v):
-        whole = np.moveaxis(np.concatenate(v, axis), axis, 0)[:count]
-        return whole.reshape((*shape, *whole.shape[1:]))
-
-    return jax.tree.map(join, *parts)
+    first = work(0)  # alone: it compiles
+    # in the order of memory that the chunks have
+    shapes = [(*v.shape[1:], count) if axis else (count, *v.shape[1:]) for v in first]
+    wholes = [np.moveaxis(np.empty(own, v.dtype), axis, 0) for own, v in zip(shapes, first, strict=True)]
+    list(threads().map(keep, range(0, count, _CHUNK)))
+    return [whole.reshape((*shape, *whole.shape[1:])) for whole in wholes]
 
 
 def _chambers(surface, chamber_volume, initial_volume, atmospheric_pressure, polytropic_exponent):
@@ -208,7 +212,7 @@ def _columns(surface, given: dict) -> list[np.ndarray]:
     return list(columns.values())
 
 
-def _ramps_of(surface: Surface, told, marks, snaps, outcome, reach) -> Ramps:
+def _ramps_of(surface: Surface, told, folds, zeros, breaks, snaps, outcome, reach) -> Ramps:
     """The answer of the program, by names; points have an axis of λa, p, V, q, error, then one of events."""
 
     def points(values):
@@ -219,7 +223,7 @@ def _ramps_of(surface: Surface, told, marks, snaps, outcome, reach) -> Ramps:
     def at(which):
         return points(np.moveaxis(told[..., which], told.ndim - 2, 0))
 
-    folds, zeros, breaks = (points(np.moveaxis(m, -2, 0)) for m in marks)
+    folds, zeros, breaks = (points(np.moveaxis(m, -2, 0)) for m in (folds, zeros, breaks))
     landing = at(slice(3, 5))
     with np.errstate(invalid="ignore"):
         limit = np.sqrt(np.asarray(surface.breakdown_load(landing.apex_stretch)))
@@ -288,7 +292,5 @@ def chamber_curves(
     """
     given = chamber_volume, initial_volume, atmospheric_pressure, polytropic_exponent
     columns, kind = _chambers(surface, *given)
-    q, p, v, found, again = _run(_curves_chunk, surface, columns, kind, 1)
-    for values in (q, p, v):
-        values[~found | again] = np.nan
+    q, p, v, again = _run(_curves_chunk, surface, columns, kind, 1)
     return Curves(np.asarray(rows_of(ById(surface)).apex_stretch), q, p, v, again)

@@ -4,6 +4,8 @@ Between rows q and V are the polynomials through twelve of them; what those thro
 the error. Written for one loading, to be vmapped.
 """
 
+import typing
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -152,7 +154,7 @@ class Events(eqx.Module):
     volume: Float[Array, " count"]
     error: Float[Array, " count"]
 
-    def take(self, index, present=True):
+    def take(self, index, present: typing.Any = True):
         """One of them, or a part; none where it is not `present`."""
         place, error = (jnp.where(present, v[index], w) for v, w in ((self.place, jnp.inf), (self.error, 0.0)))
         return Events(place, self.load[index], self.volume[index], error)
@@ -257,21 +259,17 @@ def meet_on_surface(surface: Surface, condition: Conditions, kind, target, apex,
 
     def state(x):
         p, v = surface.at_load_fraction(x[0], x[1], ("pressure", "volume"))
-        return p, v, x[1] * largest_load(material, x[0])
-
-    def on_contour(x):
-        p, v, _ = state(x)
-        room = condition.weight * v + condition.chamber_volume
-        gas = jnp.log(p + condition.atmospheric_pressure) + condition.exponent * jnp.log(room)
-        return gas - jnp.log(condition.constant)
+        return jnp.stack([p, v, x[1] * largest_load(material, x[0])])
 
     def equations(x):
-        q = state(x)[2]
-        gas, by_gas = jax.value_and_grad(on_contour)(x)
-        by_load = jax.grad(lambda x: state(x)[2])(x)
-        size = jax.lax.stop_gradient(jnp.abs(by_gas[1] * by_load[1])) + 1e-300
-        fold = (by_gas[0] * by_load[1] - by_gas[1] * by_load[0]) / size
-        level = (q - target) / jax.lax.stop_gradient(by_load[1])
+        p, v, q = state(x)
+        by_p, by_v, by_q = jax.jacfwd(state)(x)
+        inside, outside = condition.weight * v + condition.chamber_volume, condition.atmospheric_pressure
+        gas = jnp.log(p + outside) + condition.exponent * jnp.log(inside) - jnp.log(condition.constant)
+        by_gas = by_p / (p + outside) + condition.exponent * condition.weight * by_v / inside
+        size = jax.lax.stop_gradient(jnp.abs(by_gas[1] * by_q[1])) + 1e-300
+        fold = (by_gas[0] * by_q[1] - by_gas[1] * by_q[0]) / size
+        level = (q - target) / jax.lax.stop_gradient(by_q[1])
         last = jnp.where(kind == FOLD, fold, jnp.where(kind == LEVEL, level, q / surface.breakdown_load(x[0]) - 1))
         return jnp.stack([gas, last])
 
@@ -283,6 +281,6 @@ def meet_on_surface(surface: Surface, condition: Conditions, kind, target, apex,
         return x + move, jnp.max(jnp.abs(move))
 
     start = jnp.stack([apex, load / largest_load(material, apex)])
-    x, size = jax.lax.fori_loop(0, 4, newton, (start, jnp.asarray(jnp.inf)))
+    x, size = jax.lax.fori_loop(0, 2, newton, (start, jnp.asarray(jnp.inf)))
     p, v, q = state(x)
     return jnp.stack([x[0], p, v, q]), jnp.where(jnp.abs(x[0] - apex) < 0.1, size, jnp.inf)

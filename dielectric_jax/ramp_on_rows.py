@@ -142,9 +142,8 @@ def ramp_program(rows: Rows, start: Events, conditions: Conditions, q, v, found,
     return jax.vmap(_ramp, in_axes=(None, 0, 0, 1, 1, 1, 1))(rows, conditions, start, q, v, found, again)
 
 
-# the events of a ramp, in this order: start, two snaps, two landings, breakdown, two snap-backs and their landings, rest
-_FIRST = np.array([1, 2, 5, 6, 7, 10])
-_KINDS = np.array([FOLD, FOLD, BREAKDOWN, FOLD, FOLD, LEVEL])
+# the events of a ramp: start, two snaps, two landings, breakdown, two snap-backs and their two landings, rest
+_KINDS = np.array([LEVEL, FOLD, FOLD, LEVEL, LEVEL, BREAKDOWN, FOLD, FOLD, LEVEL, LEVEL, LEVEL])
 _JUMPS, _FROM = np.array([3, 4, 8, 9]), np.array([1, 2, 6, 7])
 
 
@@ -153,13 +152,13 @@ def polish_program(surface: Surface, conditions: Conditions, told):
     """The events (lanes, 5, 11) of some ramps met on the surface."""
 
     def one(condition, told):
-        def meet(which, kinds, targets):
-            apex, load = told[0, which], told[3, which]
-            found, size = jax.vmap(lambda *v: meet_on_surface(surface, condition, *v))(kinds, targets, apex, load)
+        def meet_all(_, told):
+            targets = jnp.zeros(len(_KINDS)).at[_JUMPS].set(told[3, _FROM])
+            meet = jax.vmap(lambda *v: meet_on_surface(surface, condition, *v))
+            found, size = meet(jnp.asarray(_KINDS), targets, told[0], told[3])
             bound = surface.error_bound(found[:, 0], found[:, 3]) + jnp.where(size < 1e-6, size**2, jnp.inf)
-            return jnp.concatenate([found, jnp.where(jnp.isnan(apex), jnp.nan, bound)[:, None]], axis=1).T
+            return jnp.concatenate([found, jnp.where(jnp.isnan(told[0]), jnp.nan, bound)[:, None]], axis=1).T
 
-        met = told.at[:, _FIRST].set(meet(_FIRST, jnp.asarray(_KINDS), jnp.zeros(len(_FIRST))))
-        return met.at[:, _JUMPS].set(meet(_JUMPS, jnp.full(len(_JUMPS), LEVEL), met[3, _FROM]))
+        return jax.lax.fori_loop(0, 2, meet_all, told)  # first the folds, then the jumps from them
 
     return jax.vmap(one)(conditions, told)

@@ -9,6 +9,7 @@ bracket. Rows are even in y = √((λa − λ0)/(λ_end − λ0)), in which all 
 that along a contour they may be interpolated between rows.
 """
 
+import dataclasses
 import functools
 import itertools
 
@@ -18,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .kept import kept_jit
 from .materials import largest_load
 from .surface import ById, Surface
 
@@ -29,6 +31,8 @@ _PANELS = (0.0, 0.4, 0.7, 0.9, 1.0)  # shares of the loads of a row
 _TERMS = 16  # of a polynomial on a panel
 _BRACKETS = 6  # on a panel
 _NEWTON = 3
+_SOME = 32  # rows that are evaluated together
+_BLOCK = 128  # edges and elements come in multiples of it
 _ABOVE_BREAKDOWN = 1.2  # loads of a row end here, or with the surface's domain
 
 
@@ -58,6 +62,7 @@ class Conditions(eqx.Module):
 class Rows(eqx.Module):
     """p and V of a surface on its rows, and what an event needs to know of a row.
 
+    `surface` is padded to sizes that most surfaces share, so that one compiled program serves them; `end` is its largest λa.
     `polynomials` (rows, panels, 2, terms) hold the monomial coefficients of p and V in the panel's own unit −1…1, highest
     last; `bracket_pressure`, `bracket_volume` (rows, brackets + 1) the values at the ends of the brackets; `bottom`, `top`
     (rows,) the loads t between which a row lies, `largest_load` q_max, `breakdown_load` q_b, `flat_pressure` and
@@ -65,6 +70,7 @@ class Rows(eqx.Module):
     """
 
     surface: Surface
+    end: Float[Array, ""]
     apex_stretch: Float[Array, " rows"]
     bottom: Float[Array, " rows"]
     top: Float[Array, " rows"]
@@ -79,13 +85,13 @@ class Rows(eqx.Module):
 
     def apex_at(self, place):
         """λa at a place between rows, counted in rows from the first."""
-        rim, end = self.surface.membrane.prestretch, self.surface.apex_edges[-1]
-        return rim + (end - rim) * (_LOWEST + (1 - _LOWEST) * place / (ROWS - 1)) ** 2 * (1 - 1e-12)
+        rim = self.surface.membrane.prestretch
+        return rim + (self.end - rim) * (_LOWEST + (1 - _LOWEST) * place / (ROWS - 1)) ** 2 * (1 - 1e-12)
 
     def place_of(self, apex_stretch):
         """The place between rows of a λa, the inverse of `apex_at`."""
-        rim, end = self.surface.membrane.prestretch, self.surface.apex_edges[-1]
-        y = jnp.sqrt((apex_stretch - rim) / ((end - rim) * (1 - 1e-12)))
+        rim = self.surface.membrane.prestretch
+        y = jnp.sqrt((apex_stretch - rim) / ((self.end - rim) * (1 - 1e-12)))
         return (y - _LOWEST) / (1 - _LOWEST) * (ROWS - 1)
 
 
@@ -104,6 +110,28 @@ def _nodes():
     return -np.cos(np.pi * (np.arange(_TERMS) + 0.5) / _TERMS)
 
 
+def _padded(surface: Surface) -> Surface:
+    """The same surface with edges, cells and elements that no state meets."""
+    columns, loads, elements = (-len(v) % _BLOCK for v in (surface.apex_edges, surface.load_edges, surface.errors))
+    edges = [
+        np.pad(v, (0, more), constant_values=np.inf)
+        for v, more in ((surface.apex_edges, columns), (surface.load_edges, loads))
+    ]
+    more = [
+        (v, ((0, elements), *((0, 0),) * (v.ndim - 1))) for v in (surface.boxes, surface.coefficients, surface.errors)
+    ]
+    arrays = [*edges, np.pad(surface.cells, ((0, columns), (0, loads)), constant_values=-1)]
+    arrays += [np.pad(v, widths, mode="edge") for v, widths in more]
+    names = "apex_edges", "load_edges", "cells", "boxes", "coefficients", "errors"
+    return dataclasses.replace(surface, **{name: jnp.asarray(v) for name, v in zip(names, arrays, strict=True)})
+
+
+@kept_jit
+def _values(surface: Surface, apex, load):
+    """p and V (2, rows, places) at places t (rows, places) of some rows."""
+    return jnp.stack(surface.at_load_fraction(apex[:, None], load, ("pressure", "volume")))
+
+
 @functools.lru_cache(maxsize=32)
 def rows_of(key: ById) -> Rows:
     """The rows of a surface."""
@@ -118,33 +146,30 @@ def rows_of(key: ById) -> Rows:
     bottom = np.array([own[:, 2].min(initial=0.0) for own in covered])
     top = np.array([own[:, 3].max(initial=0.0) for own in covered])
     top = np.minimum(top, _ABOVE_BREAKDOWN * np.nan_to_num(broken / limit, nan=1.0))
-    evaluate = jax.jit(lambda s, a, t: s.at_load_fraction(a, t, ("pressure", "volume")))
-
-    def at(share):
-        t = bottom[:, None] + (top - bottom)[:, None] * np.minimum(share, 1 - 1e-12)
-        return np.stack([np.asarray(v) for v in evaluate(surface, apex[:, None], t)], axis=1)
-
-    polynomials, tails = [], []
-    for low, high in itertools.pairwise(_PANELS):
-        coefficients, tail = _panel_polynomials(at(low + (high - low) * (_nodes() + 1) / 2))
-        polynomials.append(coefficients)
-        tails.append(tail.max(axis=-1))
-    ends = [np.linspace(low, high, _BRACKETS + 1)[1:] for low, high in itertools.pairwise(_PANELS)]
-    bracket = at(np.concatenate([[0.0], *ends]))
-    flat = np.stack([np.asarray(v) for v in evaluate(surface, apex, np.zeros(ROWS))])
+    padded = _padded(surface)
+    panels = list(itertools.pairwise(_PANELS))
+    inner = [low + (high - low) * (_nodes() + 1) / 2 for low, high in panels]
+    ends = [np.linspace(low, high, _BRACKETS + 1)[1:] for low, high in panels]
+    shares = np.minimum(np.concatenate([*inner, [0.0], *ends]), 1 - 1e-12)
+    load = np.concatenate([bottom[:, None] + (top - bottom)[:, None] * shares, np.zeros((ROWS, 1))], axis=1)
+    parts = [_values(padded, apex[i : i + _SOME], load[i : i + _SOME]) for i in range(0, ROWS, _SOME)]
+    values = np.concatenate([np.asarray(v) for v in parts], axis=1)  # p and V (2, rows, places)
+    inside, bracket, flat = np.split(values, [len(panels) * _TERMS, -1], axis=2)
+    polynomials, tails = _panel_polynomials(inside.reshape(2, ROWS, len(panels), _TERMS))
     return Rows(
-        surface=surface,
+        surface=padded,
+        end=jnp.asarray(end),
         apex_stretch=jnp.asarray(apex),
         bottom=jnp.asarray(bottom),
         top=jnp.asarray(top),
         largest_load=jnp.asarray(limit),
         breakdown_load=jnp.asarray(broken),
-        polynomials=jnp.asarray(np.stack(polynomials, axis=1)),
-        bracket_pressure=jnp.asarray(bracket[:, 0]),
-        bracket_volume=jnp.asarray(bracket[:, 1]),
-        flat_pressure=jnp.asarray(flat[0]),
-        flat_volume=jnp.asarray(flat[1]),
-        error=jnp.asarray(np.max(tails, axis=0)),
+        polynomials=jnp.asarray(np.moveaxis(polynomials, 0, 2)),
+        bracket_pressure=jnp.asarray(bracket[0]),
+        bracket_volume=jnp.asarray(bracket[1]),
+        flat_pressure=jnp.asarray(flat[0, :, 0]),
+        flat_volume=jnp.asarray(flat[1, :, 0]),
+        error=jnp.asarray(np.max(tails, axis=(0, 2))),
     )
 
 

@@ -71,3 +71,20 @@ def test_our_engines_are_right_beside_a_peer_or_alone(tmp_path):
         assert r["seconds"] > 0
     if record["auto"] == "AUTO-07p: not installed":
         assert record["auto"] in said and len(ours) == len(record["records"])
+
+
+def test_a_small_sweep_is_right_and_measured(tmp_path):
+    record, said = quick("sweep.py", tmp_path)
+    assert sum(record["outcomes"].values()) == 512, said
+    assert record["outcomes"]["unresolved"] < 256
+    assert record["largest_error_bound"] <= 1e-8 and 0 < record["largest_curve_error"] < 1e-7
+    for g in record["groups"]:
+        assert not g["missing"] and g["difference"] < 1e-7
+        assert g["microseconds_per_ramp"] > 0 and g["microseconds_per_curve"] > 0
+    assert record["gigabytes"] > 0
+
+
+def test_a_surface_is_as_exact_as_it_says(tmp_path):
+    record, said = quick("surface_error.py", tmp_path)
+    assert record["states"] == 200 and record["not_sharp"] < 100, said
+    assert 0 < record["largest_ratio"] <= 10
