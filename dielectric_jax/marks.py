@@ -1,6 +1,6 @@
 """Special points of one loading's contour on rows: folds, zero-voltage states, breakdowns, and the jumps from folds.
 
-Between rows q and V are the polynomials through twelve of them; what those through the inner ten would give differently is
+Between rows q and V are the polynomials through fourteen of them; what the inner twelve would give differently is
 the error. Written for one loading, to be vmapped.
 """
 
@@ -28,7 +28,7 @@ __all__ = [
     "meet_on_surface",
 ]
 
-_STENCIL = 12  # rows that a polynomial runs through; the error is what its inner ten would change
+_STENCIL = 14  # rows that a polynomial runs through; the error is what all but the outer two would change
 FOLD, LEVEL, BREAKDOWN = 0, 1, 2  # kinds of events
 _FOLDS, _ZEROS, _BREAKS = 6, 5, 3  # that are listed
 _KINDS = np.repeat([FOLD, LEVEL, BREAKDOWN], [_FOLDS, _ZEROS, _BREAKS])
@@ -85,7 +85,7 @@ class ContourOnRows(eqx.Module):
     last: Int[Array, ""]
 
     def _polynomials(self, row):
-        """The polynomials of q and V through twelve rows, and ten, about a row, in x; the scale of q; place(x)."""
+        """Polynomials of q and V about a row, and without the outer two rows, in x; the scale of q; place(x)."""
         base = jnp.clip(row - (_STENCIL // 2 - 1), self.first, jnp.maximum(self.last - _STENCIL + 1, self.first))
         base = jnp.clip(base, 0, ROWS - _STENCIL)
         load, volume = (jax.lax.dynamic_slice(v, (base,), (_STENCIL,)) for v in (self.load, self.volume))
