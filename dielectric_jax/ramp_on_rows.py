@@ -52,7 +52,8 @@ def _ramp(rows: Rows, condition: Conditions, start: Events, q, v, found, again):
     climbs = jnp.where(ahead.seen(), jnp.any(peak & (folds.place == ahead.place)), q[last] > 0)
     nowhere = start.take((), False)
     moving, here, failure = climbs, start, nowhere
-    lost = broken = doubt = jnp.asarray(False)
+    lost = broken = jnp.asarray(False)
+    doubt = ~ahead.seen() & (last <= begin)  # the contour leaves the surface before the next row
     snaps, landings = [], []
     for stage in range(_SNAPS + 1):
         index, turns = first_place((folds.place > here.place) & peak)

@@ -141,6 +141,8 @@ def test_unresolved_chambers_hold_no_numbers(surface):
     lost = ramps.outcome == Outcome.unresolved
     assert np.isnan(ramps.area_strain[lost]).all() and np.isnan(ramps.snap.voltage[lost]).all()
     assert np.isfinite(ramps.area_strain[~lost & (ramps.outcome != Outcome.start_unstable)]).all()
+    # one that is stable, but leaves the surface between two rows
+    assert chamber_ramps(surface, 82.55037842939616, 0.12816651427897252).outcome == Outcome.unresolved
     # a filling that the membrane does not reach
     assert chamber_ramps(surface, 1000.0, 500.0).outcome == Outcome.unresolved
 
