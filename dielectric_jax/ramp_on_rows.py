@@ -19,6 +19,7 @@ __all__ = ["Outcome", "polish_program", "ramp_program"]
 _SNAPS = 2
 _MOST_ERROR = 1e-4  # between rows, of a ramp that is told
 _AMBIGUOUS = 1e-8  # a snap or landing this near to breakdown is not told
+_SOON = 20  # rows
 _ULP = 2.3e-16
 
 
@@ -81,7 +82,10 @@ def _ramp(rows: Rows, condition: Conditions, start: Events, q, v, found, again):
     level = jnp.where(snaps[1].seen(), snaps[1].load, snaps[0].load)
     other = (at > last) & (found | again)
     above, below = (jnp.all(~other | (plain & way)) for way in (q > 1.02 * level, 1.02 * q < level))
-    lost &= above | below
+    # so may the contour itself, where it leaves the surface unbroken and rises fast enough to be back at that load soon
+    rise = q[last] - q[jnp.maximum(last - 1, 0)]
+    onward = (q[last] < rows.breakdown_load[last]) & (_SOON * rise > level - q[last])
+    lost &= (above | below) & ~onward
 
     # the way down, from the last landing
     descends = survives & snaps[0].seen()
