@@ -48,7 +48,7 @@ class Ramps(typing.NamedTuple):
 
     The arrays have the shape of the loadings; those of `snap`, `landing`, `snap_back` and `landing_back` have a last axis
     more, of two, for ramps that snap twice. The way up: `start`, `snaps` snaps with their landings (`landing_ratio` is
-    E/E_EB there), `breakdown`; `area_strain` is (λa at breakdown / λa at the start)² − 1, with breakdown in the snap that of
+    E/E_EB there; where it is at least 1 the ramp ends in it), `breakdown` on the branch; `area_strain` is (λa at breakdown / λa at the start)² − 1, with breakdown in the snap that of
     the last unbroken state. The way down from the last landing: `snap_back`, `landing_back`, and `rest`, the zero-voltage state in which it
     ends. `error` bounds the relative error of the voltages and volumes of the ramp.
 

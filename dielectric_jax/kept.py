@@ -30,7 +30,7 @@ def of_this_package(value) -> bool:
         return True
     if isinstance(value, (tuple, list)):
         return all(map(of_this_package, value))
-    own = type(value).__module__.split(".")[0] == _PACKAGE and hasattr(value, "__dict__") and not callable(value)
+    own = type(value).__module__.split(".")[0] == _PACKAGE and hasattr(value, "__dict__")
     return own and all(map(of_this_package, vars(value).values()))
 
 

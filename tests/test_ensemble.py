@@ -97,7 +97,7 @@ def test_the_continuation_of_the_same_scenes(prestretch, most, surface):
             assert all(np.min(np.abs(theirs / v - 1)) < 1e-8 for v in mine)
 
 
-def test_two_snaps_and_constant_pressure(surface):
+def test_constant_pressure(surface):
     """At constant pressure the paper's p = 1.82 snaps without landing; all of it against the diagram."""
     pressures = [1.0, 1.5, 1.82]
     ramps = pressure_ramps(surface, pressures)

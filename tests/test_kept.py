@@ -74,6 +74,7 @@ def test_a_users_function_is_never_kept(folder):
         pass
 
     assert kept.of_this_package(dj.Gent())
+    assert kept.of_this_package(dj.Surface.build(dj.Membrane(dj.Gent(10.0)), tolerance=1e-5, cache=False))
     assert not kept.of_this_package(Mine())
 
 
