@@ -82,9 +82,11 @@ def _ramp(rows: Rows, condition: Conditions, start: Events, q, v, found, again):
     level = jnp.where(snaps[1].seen(), snaps[1].load, snaps[0].load)
     other = (at > last) & (found | again)
     above, below = (jnp.all(~other | (plain & way)) for way in (q > 1.02 * level, 1.02 * q < level))
-    # so may the contour itself, where it leaves the surface unbroken and rises fast enough to be back at that load soon
+    # so may the contour itself, where it leaves the surface unbroken, rises fast enough to be back at that load soon,
+    # and would be so below breakdown
     rise = q[last] - q[jnp.maximum(last - 1, 0)]
-    onward = (q[last] < rows.breakdown_load[last]) & (_SOON * rise > level - q[last])
+    bearable = jnp.max(jnp.where(at >= last, rows.breakdown_load, 0.0))
+    onward = (jnp.maximum(q[last], level) < bearable) & (_SOON * rise > level - q[last])
     lost &= (above | below) & ~onward
 
     # the way down, from the last landing
