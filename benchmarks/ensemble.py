@@ -1,8 +1,9 @@
 """Ramps of many chambers on the surface against the continuation: do they agree, and what does each cost?
 
-Random chambers at several prestretches; every chamber that the surface decides is compared with `voltage_volume` of the same
-scene: the way the ramp ends, voltage and volume of every event up and down, the area strain, and the special points of the
-branch. Both are timed in the same run, warm, the surface's time beside its error.
+Random scenes of ten membranes (prestretch 1 to 3, limiting stretch J from 50 to 1000; four of five on a chamber, the rest at
+constant pressure); every scene that the surface decides is compared with `voltage_volume`: the way the ramp ends, voltage and
+volume of every event up and down, the area strain, and the special points of the branch. Both are timed in the same run,
+warm, the surface's time beside its error.
 
     python benchmarks/ensemble.py [--scenes 10000] [--seed 0] [--json FILE|-] [--quick]
 """
@@ -98,59 +99,83 @@ def difference(ramps, i: int, diagram) -> tuple[float, list[str]]:
     return worst, missing
 
 
-def one_prestretch(prestretch: float, count: int, random, records: list) -> dict:
-    """Compares `count` chambers of one membrane; appends those that differ to `records`."""
-    membrane = dj.Membrane(prestretch=prestretch)
+def random_loadings(membrane, count: int, random) -> list:
+    """Chambers and constant pressures; chambers first."""
+    held = count // 5
+    chambers = np.exp(random.uniform(np.log(10), np.log(25000), count - held))
+    fillings = random.uniform(0.01, 1, count - held) * largest_filling(membrane)
+    pairs = zip(chambers, fillings, strict=True)
+    loadings = [dj.Chamber(volume=float(c), initial_volume=float(v)) for c, v in pairs]
+    return [*loadings, *(dj.ConstantPressure(float(p)) for p in random.uniform(0.4, 2.0, held))]
+
+
+def batches(surface, loadings: list):
+    """(ramps, loadings) of the chambers and of the constant pressures."""
+    chambers = [x for x in loadings if isinstance(x, dj.Chamber)]
+    if chambers:
+        columns = [[x.volume for x in chambers], [x.initial_volume for x in chambers]]
+        yield dj.chamber_ramps(surface, *columns), chambers
+    pressures = [x for x in loadings if isinstance(x, dj.ConstantPressure)]
+    if pressures:
+        yield dj.pressure_ramps(surface, [x.pressure for x in pressures]), pressures
+
+
+def one_membrane(membrane, count: int, random, records: list) -> dict:
+    """Compares `count` scenes of one membrane; appends those that differ to `records`."""
     begin = time.perf_counter()
     surface = dj.Surface.build(membrane, cache=False)
     build = time.perf_counter() - begin
-    chambers = np.exp(random.uniform(np.log(10), np.log(25000), count))
-    fillings = random.uniform(0.01, 1, count) * largest_filling(membrane)
-    dj.chamber_ramps(surface, chambers, fillings)
+    loadings = random_loadings(membrane, count, random)
+    list(batches(surface, loadings))
     begin = time.perf_counter()
-    ramps = dj.chamber_ramps(surface, chambers, fillings)
+    done = list(batches(surface, loadings))
     seconds = time.perf_counter() - begin
-    worst, compared, spent = 0.0, 0, 0.0
-    for i in np.flatnonzero(ramps.outcome != Outcome.unresolved):
-        scene = dj.Scene(membrane, dj.Chamber(volume=chambers[i], initial_volume=fillings[i]))
-        begin = time.perf_counter()
-        diagram = dj.voltage_volume(scene)
-        spent += time.perf_counter() - begin
-        apart, missing = difference(ramps, i, diagram)
-        compared += 1
-        worst = max(worst, apart)
-        if missing or apart > ALLOWED:
-            told = {"difference": apart, "missing": missing, "reason": diagram.area_strain_reason}
-            told |= {"prestretch": prestretch, "chamber_volume": chambers[i], "initial_volume": fillings[i]}
-            records.append(told | {"outcome": Outcome(int(ramps.outcome[i])).name, "complete": diagram.complete})
+    worst, compared, unresolved, spent = 0.0, 0, 0, 0.0
+    for ramps, part in done:
+        unresolved += int((ramps.outcome == Outcome.unresolved).sum())
+        for i in np.flatnonzero(ramps.outcome != Outcome.unresolved):
+            begin = time.perf_counter()
+            diagram = dj.voltage_volume(dj.Scene(membrane, part[i]))
+            spent += time.perf_counter() - begin
+            apart, missing = difference(ramps, i, diagram)
+            compared += 1
+            worst = max(worst, apart)
+            if missing or apart > ALLOWED:
+                told = {"difference": apart, "missing": missing, "reason": diagram.area_strain_reason}
+                told |= {"membrane": repr(membrane), "loading": repr(part[i])}
+                records.append(told | {"outcome": Outcome(int(ramps.outcome[i])).name, "complete": diagram.complete})
     return {
-        "prestretch": prestretch,
+        "prestretch": float(membrane.prestretch),
+        "stretch_limit": float(membrane.material.stretch_limit),
         "elements": len(surface.errors),
         "build_seconds": build,
-        "chambers": count,
-        "unresolved": int((ramps.outcome == Outcome.unresolved).sum()),
+        "scenes": count,
+        "unresolved": unresolved,
         "compared": compared,
         "largest_difference": worst,
-        "microseconds_per_chamber": seconds / count * 1e6,
+        "microseconds_per_scene": seconds / count * 1e6,
         "microseconds_per_diagram_by_continuation": spent / max(compared, 1) * 1e6,
     }
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scenes", type=int, default=10_000, help="number of random chambers")
+    parser.add_argument("--scenes", type=int, default=10_000, help="number of random scenes")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", metavar="FILE", help='"-" is standard output')
-    parser.add_argument("--quick", action="store_true", help="12 chambers of one membrane")
+    parser.add_argument("--quick", action="store_true", help="12 scenes of one membrane")
     options = parser.parse_args()
     random = np.random.default_rng(options.seed)
-    prestretches = [1.0] if options.quick else [1.0, *random.uniform(1, 3, 9)]
-    count = 12 if options.quick else max(1, options.scenes // len(prestretches))
-    print(f"seed {options.seed}, {count * len(prestretches)} chambers", file=sys.stderr)
+    membranes = [dj.Membrane()]
+    if not options.quick:
+        drawn = zip(random.uniform(1, 3, 9), np.exp(random.uniform(np.log(50), np.log(1000), 9)), strict=True)
+        membranes += [dj.Membrane(prestretch=w, material=dj.Gent(stretch_limit=j)) for w, j in drawn]
+    count = 12 if options.quick else max(1, options.scenes // len(membranes))
+    print(f"seed {options.seed}, {count * len(membranes)} scenes", file=sys.stderr)
     differing: list[dict] = []
     groups = []
-    for prestretch in prestretches:
-        groups.append(one_prestretch(float(prestretch), count, random, differing))
+    for membrane in membranes:
+        groups.append(one_membrane(membrane, count, random, differing))
         print(groups[-1], file=sys.stderr, flush=True)
         document = {
             "name": "ensemble",

@@ -57,8 +57,8 @@ def test_chambers_on_the_surface_agree_with_continuation(tmp_path):
     assert record["compared"] >= 6 and not record["differing"], said
     assert record["largest_difference"] < 1e-8
     group = record["groups"][0]
-    assert group["chambers"] == group["compared"] + group["unresolved"] == 12
-    assert group["microseconds_per_chamber"] > 0
+    assert group["scenes"] == group["compared"] + group["unresolved"] == 12
+    assert group["microseconds_per_scene"] > 0
 
 
 def test_our_engines_are_right_beside_a_peer_or_alone(tmp_path):
