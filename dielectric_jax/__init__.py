@@ -24,7 +24,7 @@ _ROOMS = {
     "shooting": ("shoot",),
     "profiles": ("energy", "profile", "scaling_defect"),
     "chart": ("explicit_map",),
-    "continuation": ("Steps", "Trace", "trace"),
+    "continuation": ("Problem", "Steps", "Trace", "trace"),
     "surface": ("SheetState", "Surface"),
     "ensemble": ("Curves", "Outcome", "Point", "Ramps", "chamber_curves", "chamber_ramps", "pressure_ramps"),
     "family": ("SurfaceFamily",),
@@ -39,7 +39,7 @@ __all__ = [*_HOME]
 if typing.TYPE_CHECKING:
     from .cache import enable_compilation_cache
     from .chart import explicit_map
-    from .continuation import Steps, Trace, trace
+    from .continuation import Problem, Steps, Trace, trace
     from .diagram import Diagram, pressure_volume, voltage_volume
     from .ensemble import Curves, Outcome, Point, Ramps, chamber_curves, chamber_ramps, pressure_ramps
     from .family import SurfaceFamily

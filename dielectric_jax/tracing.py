@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
-from .continuation import Steps, Trace, trace
+from .continuation import Problem, Steps, Trace, trace
 from .equilibria import SCALE
 from .kept import kept_jit
 from .loading import ConstantVoltage
@@ -28,10 +28,25 @@ _FLAT = 0.01  # of λa − λ0
 _RESTART = 0.1  # how far a finer grid may move a point of a coarser one
 
 
-@kept_jit
-def _trace_program(material, prestretch, contour, limits, seed, direction, active, accuracy, tops, lengths):
+_CODES = (
+    Code.window_stretch,
+    Code.lock_up,
+    Code.window_load,
+    Code.window_load,
+    Code.apex_cone,
+    Code.beyond_tolerance,
+)
+
+
+def branch_problem(material, prestretch, contour, limits, accuracy, tops, lengths, steps: Steps = _STEPS) -> Problem:
+    """A loading's branches as a continuation problem in u = (λa, p, q).
+
+    `limits` is (λa, λa, t, t, λa from which it is near lock-up), `accuracy` the steps of the grid, `tops` the loads
+    fractions up to which it is used near lock-up and elsewhere.
+    """
+
     def linearise(u, args):
-        material, prestretch, contour, accuracy = args
+        material, prestretch, contour = args
         lag, volume, columns = rim_with_columns(material, u, accuracy)
         by_p, by_v, by_q = contour.slopes(volume)
         rim = columns[:, 0].at[0].add(1.0)
@@ -52,30 +67,23 @@ def _trace_program(material, prestretch, contour, limits, seed, direction, activ
         box = [u[0] - limits[0], limits[1] - u[0], fraction - limits[2], limits[3] - fraction, top - fraction]
         return jnp.stack([*box, resolved])
 
-    codes = (
-        Code.window_stretch,
-        Code.lock_up,
-        Code.window_load,
-        Code.window_load,
-        Code.apex_cone,
-        Code.beyond_tolerance,
-    )
-
-    done = trace(
+    return Problem(
         residual,
-        seed,
-        direction,
-        (material, prestretch, contour, accuracy),
-        scale=jnp.asarray(SCALE),
-        margins=margins,
-        codes=codes,
-        steps=_STEPS,
+        jnp.asarray(SCALE),
+        margins,
+        _CODES,
+        args=(material, prestretch, contour),
+        steps=steps,
         linearise=linearise,
         monitors=lambda u, args: jnp.log(jnp.maximum(1 - u[2] / largest_load(args[0], u[0]), 1e-6)),
         lengths=lengths,
-        active=active,
     )
-    return tuple(done)
+
+
+@kept_jit
+def _trace_program(material, prestretch, contour, limits, seed, direction, active, accuracy, tops, lengths):
+    problem = branch_problem(material, prestretch, contour, limits, accuracy, tops, lengths)
+    return tuple(trace(problem, seed, direction, active))
 
 
 def run_traces(membrane, contour, limits, seeds, directions, **options):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import dielectric_jax as dj
-from dielectric_jax import Code, Steps, trace
+from dielectric_jax import Code, Problem, Steps, trace
 from dielectric_jax.equilibria import SCALE
 from dielectric_jax.tracing import run_trace
 
@@ -30,9 +30,7 @@ def box(low, high):
 
 @functools.partial(jax.jit, static_argnames=("residual", "margins", "codes", "steps"))
 def run(residual, start, direction, margins, codes, steps=USUAL, scale=ONES, args=None, active=True):
-    return trace(
-        residual, start, direction, args, scale=scale, margins=margins, codes=codes, steps=steps, active=active
-    )
+    return trace(Problem(residual, scale, margins, codes, args, steps), start, direction, active)
 
 
 def points(found):
@@ -211,7 +209,7 @@ def test_a_lane_that_fails_leaves_the_others_alone():
     starts = np.stack([np.sqrt(np.abs(np.nan_to_num(sizes, nan=1.0))), np.zeros(5)], axis=1)
 
     def lane(size, start):
-        return trace(residual, start, jnp.array([0.0, 1.0]), size, scale=ONES, **limits)
+        return trace(Problem(residual, ONES, args=size, **limits), start, jnp.array([0.0, 1.0]))
 
     together = jax.jit(jax.vmap(lane))(sizes, starts)
     assert [Code(int(c)).name for c in together.code] == [
@@ -308,15 +306,8 @@ def pressure_curve(steps, seed, heading):
     def margins(u, args):
         return jnp.stack([u[0] - 1.3, 10.8 - u[0], u[1] - 0.05, 9.0 - u[1]])
 
-    return trace(
-        residual,
-        seed,
-        heading,
-        scale=jnp.asarray(SCALE),
-        margins=margins,
-        codes=(Code.window_stretch,) * 4,
-        steps=steps,
-    )
+    problem = Problem(residual, jnp.asarray(SCALE), margins, codes=(Code.window_stretch,) * 4, steps=steps)
+    return trace(problem, seed, heading)
 
 
 def reachable(setting):
