@@ -30,6 +30,7 @@ _ROOMS = {
     "family": ("SurfaceFamily",),
     "states": ("equilibrium",),
     "diagram": ("Diagram", "pressure_volume", "voltage_volume"),
+    "batch": ("Batch", "continue_scenes"),
     "cache": ("enable_compilation_cache",),
 }
 _HOME = {name: room for room, names in _ROOMS.items() for name in names}
@@ -37,6 +38,7 @@ _HOME = {name: room for room, names in _ROOMS.items() for name in names}
 __all__ = [*_HOME]
 
 if typing.TYPE_CHECKING:
+    from .batch import Batch, continue_scenes
     from .cache import enable_compilation_cache
     from .chart import explicit_map
     from .continuation import Problem, Steps, Trace, trace

@@ -1,6 +1,7 @@
 """Pseudo-arclength continuation of residual(u, args) = 0 with n − 1 equations for n unknowns; knows no membrane.
 
-Predictor: along the unit tangent (null vector of the exact Jacobian, in scaled unknowns), bent as between the last two.
+Predictor: the cubic through the last two points with their unit tangents (null vectors of the exact Jacobian, in scaled
+unknowns).
 Corrector: Newton on the residual bordered with the hyperplane through the prediction. `advance` is one pass with one
 linearisation, `trace` a loop of passes; so lanes under `vmap` never wait for another lane's Newton, and many lanes may be
 advanced a few passes at a time, those that have ended making room for others. A walk that has ended changes nothing.
@@ -79,7 +80,7 @@ class Walk(typing.NamedTuple):
 
     base: Float[Array, " n"]
     tangent: Float[Array, " n"]
-    bend: Float[Array, " n"]
+    bend: Float[Array, "2 n"]
     trial: Float[Array, " n"]
     origin: Float[Array, " n"]
     heading: Float[Array, " n"]
@@ -161,6 +162,18 @@ def _bordered(jacobian, value, normal, excess):
     return move, tangent / jnp.linalg.norm(tangent)
 
 
+def _bend(before, here, tangent_before, tangent):
+    """Second and third derivative by the arclength, at the second of two points, of the cubic through both."""
+    length = jnp.linalg.norm(here - before)
+    chord = (here - before) / length
+    second = (2 * tangent_before + 4 * tangent - 6 * chord) / length
+    return jnp.stack([second, 6 * (tangent_before + tangent - 2 * chord) / length**2])
+
+
+def _predict(base, tangent, bend, step):
+    return base + step * tangent + step**2 / 2 * bend[0] + step**3 / 6 * bend[1]
+
+
 def begin(problem: Problem, start, direction, active: typing.Any = True) -> Walk:
     """A walk about to begin near `start` on the side of `direction`; with `active=False` one that has ended (padding)."""
     at = jnp.asarray(start, float) / problem.scale
@@ -169,7 +182,7 @@ def begin(problem: Problem, start, direction, active: typing.Any = True) -> Walk
     return Walk(
         base=at,
         tangent=heading,
-        bend=jnp.zeros_like(at),
+        bend=jnp.zeros((2, *at.shape)),
         trial=at,
         origin=at,
         heading=heading,
@@ -189,7 +202,7 @@ def advance(problem: Problem, s: Walk) -> tuple[Walk, Array]:
     given = (steps.smallest, steps.largest, steps.largest) if problem.lengths is None else problem.lengths
     smallest, largest, farthest = given
     first = s.count == 0
-    anchor = s.base + s.step * s.tangent + s.step**2 / 2 * s.bend
+    anchor = _predict(s.base, s.tangent, s.bend, s.step)
     value, jacobian = problem.linear(s.trial)
     move, tangent = _bordered(jacobian, value, s.tangent, s.tangent @ (s.trial - anchor))
     size = jnp.linalg.norm(move)
@@ -231,11 +244,11 @@ def advance(problem: Problem, s: Walk) -> tuple[Walk, Array]:
     step = jnp.where(accept, jnp.where(first, steps.first, grown), jnp.where(failing, 0.5 * s.step, s.step))
     base = jnp.where(accept, corrected, s.base)
     ahead = jnp.where(accept, tangent, s.tangent)
-    # dt/ds from the last two tangents; no bend from a step that was never taken
-    bend = (tangent - s.tangent) / jnp.where(first, jnp.inf, jnp.linalg.norm(corrected - s.base))
+    # no bend from a step that was never taken
+    bend = jnp.where(first, 0.0, _bend(s.base, corrected, s.tangent, tangent))
     bend = jnp.where(accept, jnp.where(jnp.all(jnp.isfinite(bend)), bend, 0.0), s.bend)
     restart = accept | failing
-    trial = jnp.where(restart, base + step * ahead + step**2 / 2 * bend, corrected)
+    trial = jnp.where(restart, _predict(base, ahead, bend, step), corrected)
 
     code = jnp.asarray(int(Code.ok))
     code = jnp.where(count >= steps.most_points, int(Code.too_many_points), code)

@@ -14,7 +14,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .equilibria import LADDERS, LEAST_ESTIMATE, SCALE, Points, Shooting, difficulty, largest_on, load_fraction
+from .equilibria import (
+    LADDERS,
+    LEAST_ESTIMATE,
+    SCALE,
+    Points,
+    Shooting,
+    difficulty,
+    largest_on,
+    load_fraction,
+    locking_stretch,
+)
 from .kept import kept_jit
 from .loading import Contour
 from .materials import largest_load
@@ -154,7 +164,7 @@ class OnSurface:
         points = dataclasses.replace(
             points, hoop=points.hoop.copy(), field=points.field.copy(), index=points.index.copy()
         )
-        level = difficulty(self.membrane, points.u[0], load_fraction(self.membrane, points.u))
+        level = difficulty(locking_stretch(self.membrane), points.u[0], load_fraction(self.membrane, points.u))
         for k, ladder in enumerate(LADDERS):
             which = todo[level[todo] == k]
             if len(which):

@@ -7,6 +7,7 @@ edge of the surface's domain, is left to `voltage_volume`: its outcome says so, 
 """
 
 import typing
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -212,8 +213,11 @@ def _columns(surface, given: dict) -> list[np.ndarray]:
     return list(columns.values())
 
 
-def _ramps_of(surface: Surface, told, folds, zeros, breaks, snaps, outcome, reach) -> Ramps:
-    """The answer of the program, by names; points have an axis of λa, p, V, q, error, then one of events."""
+def ramps_of(breakdown_load: Callable, told, folds, zeros, breaks, snaps, outcome, reach) -> Ramps:
+    """The answer of the program, by names; points have an axis of λa, p, V, q, error, then one of events.
+
+    `breakdown_load` gives q_b of stretches at the apex.
+    """
 
     def points(values):
         apex, p, v, q, error = values
@@ -226,7 +230,7 @@ def _ramps_of(surface: Surface, told, folds, zeros, breaks, snaps, outcome, reac
     folds, zeros, breaks = (points(np.moveaxis(m, -2, 0)) for m in (folds, zeros, breaks))
     landing = at(slice(3, 5))
     with np.errstate(invalid="ignore"):
-        limit = np.sqrt(np.asarray(surface.breakdown_load(landing.apex_stretch)))
+        limit = np.sqrt(np.asarray(breakdown_load(landing.apex_stretch)))
     snapped = np.where(np.isnan(told[..., 0, 2]), told[..., 0, 1], told[..., 0, 2])
     final = np.where(np.isnan(told[..., 0, 5]), snapped, told[..., 0, 5])
     return Ramps(
@@ -266,7 +270,7 @@ def chamber_ramps(
     """
     given = chamber_volume, initial_volume, atmospheric_pressure, polytropic_exponent
     columns, kind = _chambers(surface, *given)
-    return _ramps_of(surface, *_run(_ramps_chunk, surface, columns, kind, 0))
+    return ramps_of(surface.breakdown_load, *_run(_ramps_chunk, surface, columns, kind, 0))
 
 
 def pressure_ramps(surface: Surface, pressure) -> Ramps:
@@ -277,7 +281,9 @@ def pressure_ramps(surface: Surface, pressure) -> Ramps:
     >>> ramps.outcome.tolist() == [Outcome.no_unbroken_landing] * 2
     True
     """
-    return _ramps_of(surface, *_run(_ramps_chunk, surface, _columns(surface, {"pressure": pressure}), "pressure", 0))
+    return ramps_of(
+        surface.breakdown_load, *_run(_ramps_chunk, surface, _columns(surface, {"pressure": pressure}), "pressure", 0)
+    )
 
 
 def chamber_curves(

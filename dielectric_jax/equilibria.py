@@ -25,7 +25,7 @@ SCALE = np.array([1.0, 0.2, 0.02])  # of (λa, p, q)
 # needs more, and more again where the layer is thin
 LADDERS = ((16.0, 32.0, 64.0, 128.0), (24.0, 48.0, 96.0, 192.0, 320.0), (80.0, 160.0, 320.0))
 _REFINED = (48.0, 144.0, 240.0)  # steps of a refined tangent
-_CONTRACTION = (2e-4, 3e-3, 1e-3)  # of a chord step: the error of Newton's Jacobian, measured
+CONTRACTION = (2e-4, 3e-3, 1e-3)  # of a chord step: the error of Newton's Jacobian, measured
 _TRIES = (9, 6, 9)  # of Newton
 _MOST_MOVE = 3e-9  # relative: height and charge are not moved along with the state
 ADAPTIVE = (10.0, 12.0, 13.0)  # exponents of the tolerance of the careful path
@@ -115,7 +115,7 @@ def tangents(jacobian: np.ndarray) -> np.ndarray:
         return null / np.linalg.norm(null, axis=1, keepdims=True)
 
 
-def _index(zeros, jacobian, columns, volume, contour):
+def index_of(zeros, jacobian, columns, volume, contour):
     """Morse index under the loading: zeros of ∂λ2/∂λa, less one where the gas stiffens the mode.
 
     With a = ∂λ2(1)/∂λa and b = ∂λ2(1)/∂p: 1 + k dV/dp|q = (a + k (V_p a − V_a b))/a; the parity of the zeros is a's sign.
@@ -128,14 +128,33 @@ def _index(zeros, jacobian, columns, volume, contour):
     return np.where(gain < 0, zeros - 1, zeros)
 
 
+def estimated_error(u, volume, jacobian, columns, change, change_of_volume, by_v, rim, chord=0.0) -> np.ndarray:
+    """Estimate of the largest relative error of p, V and q at fixed λa, (lanes,), never below `LEAST_ESTIMATE`.
+
+    Of states u (3, lanes) from what the residuals (lanes, 2) and V changed by when the steps were halved last, the Jacobian
+    (lanes, 2, 3) and columns (3, 2, lanes), and what rounding can do; `by_v` is the loading's slope in V.
+    """
+    off_rim = np.abs(u[0] - rim) + _FEW_ULPS / _ROUNDING * np.abs(u[0])
+    rounding = _ROUNDING * np.stack([off_rim, np.abs(u[1]) + np.abs(by_v * volume)], axis=1)
+    both = np.abs(change) / SAFETY + rounding
+    at_apex = np.broadcast_to([[[1.0, 0.0, 0.0]]], (len(both), 1, 3))
+    inverse = np.abs(_solve(np.concatenate([jacobian, at_apex], axis=1), np.tile(np.eye(3), (len(both), 1, 1))))
+    moved = np.einsum("lij,lj->li", inverse[:, :, :2], both)
+    of_volume = np.einsum("il,li->l", np.abs(columns[:, 1]), moved)
+    of_volume += _ROUNDING * np.abs(volume) + change_of_volume / SAFETY
+    value = np.stack([u[1], volume, u[2]])
+    error = np.stack([moved[:, 1], of_volume, moved[:, 2]]) / np.maximum(np.abs(value), 1e-3)
+    return np.maximum(np.nan_to_num(error.max(axis=0) + chord, nan=np.inf), LEAST_ESTIMATE)
+
+
 def locking_stretch(membrane: Membrane) -> float:
     """λa beyond which an inner layer forms at a high load."""
     return 0.72 * membrane.lock_up_stretch()[0]
 
 
-def difficulty(membrane: Membrane, apex_stretch: np.ndarray, load_fraction: np.ndarray) -> np.ndarray:
-    """Which ladder of grids resolves the membrane, an index of `LADDERS` for each lane."""
-    locking = apex_stretch > locking_stretch(membrane)
+def difficulty(locks_from, apex_stretch: np.ndarray, load_fraction: np.ndarray) -> np.ndarray:
+    """Which ladder of grids resolves the membrane, an index of `LADDERS` for each lane; see `locking_stretch`."""
+    locking = apex_stretch > locks_from
     return (
         (locking & (load_fraction > 0.7)).astype(int)
         + (locking & (load_fraction > 0.86))
@@ -175,7 +194,7 @@ def polish(
     await_programs(membrane)
     u, rows, targets = np.array(u, float), np.asarray(rows, float), np.asarray(targets, float)
     refined = np.broadcast_to(refine, u.shape[1:])
-    level = difficulty(membrane, u[0], load_fraction(membrane, u))
+    level = difficulty(locking_stretch(membrane), u[0], load_fraction(membrane, u))
 
     def solve(which, k):
         parts = u[:, which], rows[which], targets[which], tolerance, reach, k, refined[which]
@@ -297,31 +316,22 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, level, refine
                 store[working] = values
             # what the next chord step would move is smaller by the error of the Jacobian
             moved = _relative(move, u[:, working])
-            again = ~((moved <= _MOST_MOVE) & (moved * _CONTRACTION[level] <= 0.01 * tolerance))
+            again = ~((moved <= _MOST_MOVE) & (moved * CONTRACTION[level] <= 0.01 * tolerance))
             if round_ == 0 and not last:
                 discretisation[working], chord[working] = np.abs(right[:, :2]), 0.0
                 estimate_errors(working)
                 again &= ~(estimate[working] > tolerance)
-            chord[working] = moved * _CONTRACTION[level]
+            chord[working] = moved * CONTRACTION[level]
             working = working[again]
             if not len(working):
                 break
         return first[active]
 
     def estimate_errors(active):
-        by_volume = np.abs(contour.slopes(result[0][active])[1] * result[0][active])
-        off_rim = np.abs(u[0, active] - rim) + _FEW_ULPS / _ROUNDING * np.abs(u[0, active])
-        rounding = _ROUNDING * np.stack([off_rim, np.abs(u[1, active]) + by_volume], axis=1)
-        both = discretisation[active] / SAFETY + rounding
-        fixed_apex = matrix[active].copy()
-        fixed_apex[:, 2] = [1.0, 0.0, 0.0]
-        inverse = np.abs(_solve(fixed_apex, np.broadcast_to(np.eye(3), fixed_apex.shape).copy())[:, :, :2])
-        moved = np.einsum("lij,lj->li", inverse, both)
-        of_volume = np.einsum("il,li->l", np.abs(columns[:, 1][:, active]), moved)
-        of_volume += _ROUNDING * np.abs(result[0][active]) + change_of_volume[active] / SAFETY
-        value = np.stack([u[1, active], result[0][active], u[2, active]])
-        error = np.stack([moved[:, 1], of_volume, moved[:, 2]]) / np.maximum(np.abs(value), 1e-3)
-        estimate[active] = np.maximum(np.nan_to_num(error.max(axis=0) + chord[active], nan=np.inf), LEAST_ESTIMATE)
+        state = u[:, active], result[0][active], matrix[active, :2], columns[..., active]
+        changes = discretisation[active], change_of_volume[active]
+        rounding = contour.slopes(result[0][active])[1], rim
+        estimate[active] = estimated_error(*state, *changes, *rounding, chord[active])
 
     active = np.flatnonzero(settled)
     for steps in ladder[1:]:
@@ -358,7 +368,7 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, level, refine
         hoop=result[3],
         field=result[4],
         tangent=tangents(matrix[:, :2]),
-        index=_index(zeros, matrix, columns, result[0], contour),
+        index=index_of(zeros, matrix, columns, result[0], contour),
         error=estimate,
         ok=ok,
     )

@@ -28,6 +28,7 @@ class Code(enum.IntEnum):
     beyond_tolerance = 12
     near_flat = 13
     surface_edge = 14
+    breakdown = 15
 
     @property
     def sentence(self) -> str:
@@ -54,6 +55,7 @@ _SENTENCES = {
         "or a prestretch above 1."
     ),
     Code.no_fold: "The ramp up has no fold of a stable branch in the window, so there is no snap.",
+    Code.breakdown: "The apex reached electric breakdown; what lies beyond it no membrane survives.",
     Code.near_flat: (
         "The pressure or volume is so small that double precision does not tell the membrane from a flat one; "
         "ask for a larger one, or for 0, the flat membrane."

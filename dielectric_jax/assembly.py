@@ -1,0 +1,319 @@
+"""From traced lines of many scenes to their special points and ramps."""
+
+import dataclasses
+
+import numpy as np
+
+from .crowd import Crowd, Met
+from .ensemble import Outcome
+from .equilibria import SCALE
+from .lanes import BREAKDOWN, LEVEL
+from .polylines import Places, Polylines
+
+__all__ = ["Assembly", "Events", "assemble", "tell_ramps"]
+
+_LOOKS = 5
+_CLEAR = 0.2  # of the smaller end slope: a dip of the slope that stays above it hides nothing
+_PLACE = ("line", "interval", "share")
+_REACH = 0.6  # of the chord of its interval, how far an event may lie from where the interpolant shows it
+
+
+@dataclasses.dataclass
+class Events:
+    """Exact points on lines, in any order: `line`, place along it, what was met, and for crossings the fold they belong to."""
+
+    line: np.ndarray
+    position: np.ndarray
+    met: Met
+    of_fold: np.ndarray
+
+    def take(self, which) -> "Events":
+        """The events `which`."""
+        return Events(self.line[which], self.position[which], Met(*(v[which] for v in self.met)), self.of_fold[which])
+
+
+def _meet_places(crowd: Crowd, owner, lines: Polylines, places: Places, targets, kinds, tolerance: float) -> Met:
+    """Exact states at places of lines: on planes across them (NaN as target), at loads, or at breakdown."""
+    at, tangent, _ = lines.at(places)
+    across = np.isnan(targets)
+    rows = np.where(across[:, None], tangent / SCALE, np.array([0.0, 0.0, 1.0]))
+    targets = np.where(across, (tangent * at).sum(axis=1), targets)
+    reach = _REACH * lines.lengths[places.line, places.interval] + 1e-6
+    which = owner[places.line]
+    met = crowd.meet(which, at * SCALE, rows, targets, kinds, tolerance=tolerance, reach=reach)
+    sign = np.where((met.tangent * tangent).sum(axis=1) < 0, -1.0, 1.0)
+    return met._replace(tangent=met.tangent * sign[:, None], volume_rate=met.volume_rate * sign)
+
+
+def _exact(crowd: Crowd, owner, lines: Polylines, which: np.ndarray, tolerance: float) -> np.ndarray:
+    """Makes every point of the lines `which` exact, in place; which of them that failed for."""
+    line, point = np.nonzero(np.isfinite(lines.points[which, :, 0]))
+    line = which[line]
+    at, way = lines.points[line, point], lines.tangents[line, point]
+    kinds = np.full(len(line), LEVEL)
+    met = crowd.meet(
+        owner[line], at * SCALE, way / SCALE, (way * at).sum(axis=1), kinds, tolerance=100 * tolerance, reach=0.1
+    )
+    sign = np.where((met.tangent * way).sum(axis=1) < 0, -1.0, 1.0)
+    good = met.ok
+    lines.points[line[good], point[good]] = met.u[good] / SCALE
+    lines.tangents[line[good], point[good]] = met.tangent[good] * sign[good, None]
+    return np.unique(line[~good])
+
+
+def _find_folds(crowd: Crowd, owner, lines: Polylines, tolerance: float):
+    """The lines with points between which q turns once or not at all, those turns as exact folds, and lines in doubt.
+
+    Where an interpolant hides a pair of turns, or a turn is not met, the points of the line are made exact first, which
+    traced points are not, and then more are put where its slope dips towards zero.
+    """
+    doubt = np.zeros(len(owner), bool)
+    inexact = np.ones(len(owner), bool)
+    done = Met.nothing(0), Places(*(np.zeros(0, int),) * 2, np.zeros(0))
+    todo = np.arange(len(owner))
+    for _ in range(_LOOKS):
+        turns, dips = lines.turns(2)
+        turns, dips = (p.take(np.isin(p.line, todo)) for p in (turns, dips))
+        at, tangent, bend = lines.at(turns)
+        reach = _REACH * lines.lengths[turns.line, turns.interval] + 1e-6
+        start = owner[turns.line], at * SCALE, tangent, bend[:, 2]
+        met = crowd.meet_folds(*start, tolerance=tolerance, reach=reach)
+        sign = np.where((met.tangent * tangent).sum(axis=1) < 0, -1.0, 1.0)
+        met = met._replace(tangent=met.tangent * sign[:, None], volume_rate=met.volume_rate * sign)
+        again = np.unique(np.concatenate([turns.line[~met.ok], dips.line[~_harmless(lines, dips, inexact)]]))
+        keep = np.flatnonzero(met.ok & ~np.isin(turns.line, again))
+        done = (
+            Met(*(np.concatenate([a, b[keep]]) for a, b in zip(done[0], met, strict=True))),
+            Places(*(np.concatenate([getattr(p, n) for p in (done[1], turns.take(keep))]) for n in _PLACE)),
+        )
+        if not len(again):
+            break
+        todo = again
+        fresh = again[inexact[again]]
+        if len(fresh):
+            doubt[_exact(crowd, owner, lines, fresh, tolerance)] = True
+            inexact[fresh] = False
+            continue
+        more = [p.take(np.isin(p.line, again)) for p in (turns.take(~met.ok), dips)]
+        more = Places(*(np.concatenate([getattr(p, n) for p in more]) for n in _PLACE))
+        middle = Places(more.line, more.interval, np.clip(more.share, 0.25, 0.75))
+        kinds = np.full(len(middle), LEVEL)
+        found = _meet_places(crowd, owner, lines, middle, np.full(len(middle), np.nan), kinds, 100 * tolerance)
+        ok = np.flatnonzero(found.ok)
+        lines, moved = lines.insert(middle.take(ok), found.u[ok] / SCALE, found.tangent[ok])
+        done[1].interval[:] = moved[done[1].line, done[1].interval]
+    else:
+        doubt[todo] = True
+    met, places = done
+    order = np.lexsort((places.position, places.line))
+    return lines, places.take(order), Met(*(v[order] for v in met)), doubt
+
+
+def _harmless(lines: Polylines, dips: Places, inexact: np.ndarray) -> np.ndarray:
+    """Which dips of q's slope, between exact points, are far from zero or so short that no pair of folds fits in."""
+    _, tangent, _ = lines.at(dips)
+    ends = [lines.tangents[dips.line, dips.interval + k, 2] for k in (0, 1)]
+    least = np.where(ends[0] > 0, tangent[:, 2], -tangent[:, 2])
+    return ~inexact[dips.line] & (least > _CLEAR * np.minimum(*np.abs(ends)))
+
+
+def assemble(crowd: Crowd, owner: np.ndarray, lines: Polylines, tolerance: float) -> "Assembly":
+    """The folds of q among the points of the lines, and their other events."""
+    lines, places, met, doubt = _find_folds(crowd, owner, lines, tolerance)
+    lines, moved = lines.insert(places, met.u / SCALE, met.tangent)
+    position = moved[places.line, places.interval] + 1.0
+    folds = Events(places.line, position, met, np.full(len(places), -1))
+
+    valid = np.isfinite(lines.points[..., 0])
+    line, point = np.nonzero(valid)
+    q, along = lines.points[..., 2] * SCALE[2], lines.tangents[..., 2] * SCALE[2]
+    broken, slope = np.full_like(q, np.nan), np.full_like(q, np.nan)
+    broken[line, point], slope[line, point], _ = crowd.limits(lines.points[line, point, 0], owner[line])
+    everything = np.arange(len(owner))
+    # at a fold its own load is met, not crossed
+    own_load = folds.met.u[:, 2]
+    of_fold, on = np.nonzero(owner[folds.line][:, None] == owner[None])
+    at_load = q[on] - own_load[of_fold][:, None]
+    same = on == folds.line[of_fold]
+    at_load[same, folds.position[of_fold[same]].astype(int)] = np.nan
+    zero, none = np.zeros(len(owner)), np.full(len(owner), -1)
+    rows = [
+        (q, along, everything, zero, LEVEL, none),
+        (q - broken, along - slope * lines.tangents[..., 0], everything, zero, BREAKDOWN, none),
+        (at_load, along[on], on, own_load[of_fold], LEVEL, of_fold),
+    ]
+    found, targets, kinds, sets, belongs = [], [], [], [], []
+    for k, (values, rates, which, target, kind, of) in enumerate(rows):
+        row, cross = lines.crossings(values, rates, which)
+        found.append(cross)
+        targets.append(target[row])
+        kinds.append(np.full(len(row), kind))
+        sets.append(np.full(len(row), k))
+        belongs.append(of[row])
+    places = Places(*(np.concatenate([getattr(p, n) for p in found]) for n in ("line", "interval", "share")))
+    sets, belongs = np.concatenate(sets), np.concatenate(belongs)
+    met = _meet_places(crowd, owner, lines, places, np.concatenate(targets), np.concatenate(kinds), tolerance)
+    doubt[places.line[~met.ok]] = True
+    events = Events(places.line, places.position, met, belongs)
+    kept = [events.take(np.flatnonzero(met.ok & (sets == k))) for k in range(3)]
+    kept[0].met.u[:, 2] = 0.0
+    return Assembly(lines, folds, *kept, doubt)
+
+
+@dataclasses.dataclass
+class Assembly:
+    """Lines with their folds among the points, their events, and lines on which something may have been missed."""
+
+    lines: Polylines
+    folds: Events
+    zeros: Events
+    breaks: Events
+    crossings: Events
+    doubt: np.ndarray
+
+
+_EVENTS = 11  # start, two snaps, two landings, breakdown, two snap-backs and their two landings, rest
+_SNAPS = 2
+_SWING = 0.5  # of the first swing: by so much do all later ones stay below it
+_SPECIAL = (6, 5, 3)  # folds, zeros, breakdowns that are told
+
+
+def values_of(met: Met, i: int) -> list[float]:
+    """λa, p, V, q and error of one state."""
+    return [met.u[i, 0], met.u[i, 1], met.volume[i], met.u[i, 2], max(met.error[i], met.spread[i])]
+
+
+class _Ramp:
+    """The way up and down of one scene over the events of its lines."""
+
+    def __init__(self, of: Assembly, lists, main: int, breakdown_load, cone: bool):
+        self.of, self.lists, self.breakdown_load = of, lists, breakdown_load
+        self.main, self.cone = main, cone
+        self.told = np.full((5, _EVENTS), np.nan)
+        self.snaps, self.decided = 0, True
+
+    def next(self, kind: str, line: int, position: float, side: int):
+        """The next event of a kind along a line, or None: its index."""
+        events = getattr(self.of, kind)
+        ahead = [
+            (side * (events.position[i] - position), i)
+            for i in self.lists[kind].get(line, ())
+            if side * (events.position[i] - position) > 1e-9
+        ]
+        return min(ahead)[1] if ahead else None
+
+    def land(self, fold: int, side: int):
+        """The stable state at a fold's load nearest in volume in the direction of the jump, or None."""
+        met, crossings = self.of.folds.met, self.of.crossings
+        way = side * np.sign(met.volume_rate[fold])
+        found = [
+            (way * (crossings.met.volume[i] - met.volume[fold]), i)
+            for i in self.lists["of_fold"].get(fold, ())
+            if crossings.met.index[i] == 0
+        ]
+        found = [f for f in found if f[0] > 0]
+        return min(found)[1] if found else None
+
+    def calms_below(self, line: int, fold: int, side: int) -> bool:
+        """Whether the line, which ends near the cone, no longer swings up to the load of a fold.
+
+        Towards the cone q swings about a limit, each swing a small share of the one before.
+        """
+        folds, load = self.of.folds, self.of.folds.met.u[fold, 2]
+        further = [i for i in self.lists["folds"][line] if side * (folds.position[i] - folds.position[fold]) > 0]
+        if not self.cone or not further:
+            return False
+        loads = folds.met.u[further, 2]
+        last = self.of.lines.points[line, self.of.lines.count[line] - 1, 2] * SCALE[2]
+        return max(loads.max(), last) < load - _SWING * (load - loads.min())
+
+    def tell(self, column: int, met: Met, i: int) -> None:
+        self.told[:, column] = values_of(met, i)
+
+    def up(self) -> Outcome:
+        """Follows the way up and returns how it ends; then, where it survives, the way down."""
+        of, line, position, side = self.of, self.main, 0.0, 1
+        for stage in range(_SNAPS + 1):
+            fold, broken = (self.next(kind, line, position, side) for kind in ("folds", "breaks"))
+            if fold is None and broken is None:
+                return Outcome.unresolved
+            at = [side * e.position[i] if i is not None else np.inf for e, i in ((of.folds, fold), (of.breaks, broken))]
+            if at[1] < at[0]:
+                self.tell(5, of.breaks.met, broken)
+                return self.down(line, position, side)
+            if stage == _SNAPS:
+                return Outcome.unresolved
+            self.tell(1 + stage, of.folds.met, fold)
+            self.snaps += 1
+            landing = self.land(fold, side)
+            if landing is None:
+                return Outcome.no_unbroken_landing if self.calms_below(line, fold, side) else Outcome.unresolved
+            self.tell(3 + stage, of.crossings.met, landing)
+            if of.folds.met.u[fold, 2] >= self.breakdown_load(landing):
+                return Outcome.breakdown_in_snap
+            line, position = int(of.crossings.line[landing]), float(of.crossings.position[landing])
+            side = 1 if of.crossings.met.tangent[landing, 2] > 0 else -1
+        return Outcome.unresolved
+
+    def down(self, line: int, position: float, side: int) -> Outcome:
+        """The way down from the last landing."""
+        of = self.of
+        if not self.snaps:
+            self.told[:, 10] = self.told[:, 0]
+            return Outcome.breakdown_on_branch
+        for stage in range(_SNAPS + 1):
+            fold, zero = (self.next(kind, line, position, -side) for kind in ("folds", "zeros"))
+            at = [-side * e.position[i] if i is not None else np.inf for e, i in ((of.folds, fold), (of.zeros, zero))]
+            if zero is not None and at[1] < at[0]:
+                self.tell(10, of.zeros.met, zero)
+                return Outcome.breakdown_on_branch
+            if fold is None and line == self.main and side > 0:  # back at the start
+                self.told[:, 10] = self.told[:, 0]
+                return Outcome.breakdown_on_branch
+            if fold is None or stage == _SNAPS:
+                return Outcome.unresolved
+            self.tell(6 + stage, of.folds.met, fold)
+            landing = self.land(fold, -side)
+            if landing is None:
+                return Outcome.unresolved
+            self.tell(8 + stage, of.crossings.met, landing)
+            line, position = int(of.crossings.line[landing]), float(of.crossings.position[landing])
+            side = 1 if of.crossings.met.tangent[landing, 2] > 0 else -1
+        return Outcome.unresolved
+
+
+def tell_ramps(of: Assembly, start: Met, breakdown_loads: np.ndarray, complete, alone, cone):
+    """Columns of `ensemble.ramps_of` for scenes whose branch from the start is line 0, 1, …
+
+    `breakdown_loads` are q_b at the crossings, `complete` says of which scenes the line is known, `alone` where no other branch lies below breakdown, `cone` whose line
+    ends near the cone.
+    """
+    scenes = len(complete)
+    lists: dict = {kind: {} for kind in ("folds", "zeros", "breaks", "of_fold")}
+    for kind in ("folds", "zeros", "breaks"):
+        for i, line in enumerate(getattr(of, kind).line.tolist()):
+            lists[kind].setdefault(line, []).append(i)
+    for i, fold in enumerate(of.crossings.of_fold.tolist()):
+        lists["of_fold"].setdefault(fold, []).append(i)
+    told = np.full((scenes, 5, _EVENTS), np.nan)
+    outcome, snaps = np.full(scenes, int(Outcome.unresolved)), np.zeros(scenes, int)
+    marks = [np.full((scenes, 5, count), np.nan) for count in _SPECIAL]
+    for k in np.flatnonzero(start.ok):
+        if start.index[k] != 0:
+            outcome[k] = int(Outcome.start_unstable)
+            told[k, :, 0] = values_of(start, k)
+            continue
+        ramp = _Ramp(of, lists, int(k), lambda i: breakdown_loads[i], bool(cone[k]))
+        ramp.told[:, 0] = values_of(start, k)
+        ended = ramp.up()
+        # a state on another branch may be where a snap lands
+        if complete[k] and (alone[k] or not ramp.snaps) and ended is not Outcome.unresolved:
+            told[k], outcome[k], snaps[k] = ramp.told, int(ended), ramp.snaps
+        for mark, kind in zip(marks, ("folds", "zeros", "breaks"), strict=True):
+            events = getattr(of, kind)
+            own = sorted(lists[kind].get(int(k), []), key=lambda i: events.position[i])
+            values = [values_of(start, k)] if kind == "zeros" else []
+            values = (values + [values_of(events.met, i) for i in own])[: mark.shape[2]]
+            if values:
+                mark[k, :, : len(values)] = np.array(values).T
+    return told, *marks, snaps, outcome

@@ -1,0 +1,334 @@
+"""Diagrams of many scenes by continuation, side by side in the lanes of a few compiled programs.
+
+The chain is that of a single diagram: the state at zero voltage, continuation up to breakdown, special points between the
+traced points, the ramp. Lanes share programs, not fates: each has its own step and its own end, a lane that has ended makes
+room for the next, and one that fails says why.
+"""
+
+import concurrent.futures
+import dataclasses
+import functools
+import itertools
+import os
+import typing
+from collections.abc import Sequence
+
+import jax
+import numpy as np
+from scipy.interpolate import make_interp_spline
+
+from .assembly import assemble, tell_ramps
+from .branches import cached_scan
+from .chart import map_nodes, stretch_shares
+from .crowd import LANES, Crowd, Met, calls, padded, pick
+from .ensemble import Ramps, ramps_of
+from .equilibria import SCALE, locking_stretch
+from .lanes import LEVEL, VOLUME, march_program, new_walks
+from .loading import Chamber, ConstantPressure, ConstantVoltage, Contour
+from .membrane import Membrane
+from .polylines import Polylines
+from .results import Code
+from .scene import Scene
+from .states import check_request
+
+__all__ = ["Batch", "continue_scenes"]
+
+_BLOCK = 512  # scenes that are held together
+_LINE = 40  # stretches of the line of states at zero voltage
+# grids of the continuation, and the load fractions up to which each is used near lock-up and elsewhere
+_TRACE_STEPS, _TOPS = (7.0, 24.0), ((0.7, 0.85), (0.82, 0.97))
+_LENGTHS = np.array([2e-5, 2.0, 1.0])
+_MOST_POINTS = 120
+_EVERY = 3  # node of the scan is enough to see another branch
+
+
+class Batch(typing.NamedTuple):
+    """Diagrams of many scenes: their ramps and special points, how each line ended, and the lines.
+
+    `ramps` as from `chamber_ramps`, but the places of folds are less exact than their loads: the error of a `Point` holds
+    both. `code` (scenes,) says why the continuation from the start ended: `Code.breakdown`, or `Code.apex_cone` where the
+    load swings towards a limit below breakdown. `branches` (scenes, points, 3) holds λa, p, q of that branch, NaN after its
+    end: the start and the folds exact, between them traced points, right to about 1e-3.
+    """
+
+    ramps: Ramps
+    code: np.ndarray
+    branches: np.ndarray
+
+
+def continue_scenes(scenes: Sequence[Scene], *, tolerance: float = 1e-8) -> Batch:
+    """Voltage–volume diagrams of many scenes from zero voltage to breakdown: branch, special points and ramp of each.
+
+    The scenes may differ in everything: membrane, chamber, filling, pressure. What a lane's continuation does not decide has
+    outcome `Outcome.unresolved`, NaN, and a `code`; `voltage_volume` decides it. Raises ValueError for bad input.
+
+    >>> from dielectric_jax import Chamber, Membrane
+    >>> film = Membrane()
+    >>> batch = continue_scenes([Scene(film, Chamber(volume=v, initial_volume=2.42)) for v in (800.0, 1600.0)])
+    >>> [round(float(v), 9) for v in batch.ramps.snap.voltage[:, 0]]
+    [0.097199007, 0.07649536]
+    """
+    check_request(8, tolerance)
+    for scene in scenes:
+        if not isinstance(scene, Scene) or isinstance(scene.loading, ConstantVoltage):
+            raise ValueError(f"`scenes` must be scenes with a Chamber or a ConstantPressure, but one is {scene!r}.")
+    if not scenes:
+        raise ValueError("`scenes` must hold at least one scene, but is empty.")
+    groups: dict = {}
+    for i, scene in enumerate(scenes):
+        groups.setdefault(jax.tree.structure(scene.membrane), []).append(i)
+    share = min(_BLOCK, max(LANES, -(-len(scenes) // 2)))
+    blocks = [own[i : i + share] for own in groups.values() for i in range(0, len(own), share)]
+    with concurrent.futures.ThreadPoolExecutor(os.cpu_count() or 1) as pool:  # blocks wait for the threads of the map
+        done = list(pool.map(lambda own: _block([scenes[i] for i in own], tolerance), blocks))
+    order = np.argsort(np.concatenate(blocks))
+    most = max(part.branches.shape[1] for part in done)
+    branches = [
+        np.pad(p.branches, ((0, 0), (0, most - p.branches.shape[1]), (0, 0)), constant_values=np.nan) for p in done
+    ]
+    parts = [p._replace(branches=b) for p, b in zip(done, branches, strict=True)]
+    return jax.tree.map(lambda *v: np.concatenate(v)[order], *parts)
+
+
+@dataclasses.dataclass(frozen=True)
+class ByLeaves:
+    """A membrane told apart by its numbers, for caches."""
+
+    membrane: Membrane = dataclasses.field(compare=False, hash=False)
+    numbers: tuple
+
+    @staticmethod
+    def of(membrane: Membrane) -> "ByLeaves":
+        """The key of a membrane."""
+        leaves, tree = jax.tree.flatten(membrane)
+        return ByLeaves(membrane, (tree, *(np.asarray(v).item() for v in leaves)))
+
+
+def _columns(modules) -> typing.Any:
+    """One module whose leaves are columns of those of many alike."""
+    leaves, tree = zip(*map(jax.tree.flatten, modules), strict=True)
+    return jax.tree.unflatten(tree[0], [np.array(column, float) for column in zip(*leaves, strict=True)])
+
+
+@functools.lru_cache(maxsize=64)
+def _zero_line(key: ByLeaves):
+    """Interpolants on the line of states at zero voltage: of log(λa − λ0), log p, log V by the place on it."""
+    membrane = key.membrane
+    rim, high = float(membrane.prestretch), membrane.lock_up_stretch()[0]
+    share = stretch_shares(1e-6, _LINE)
+    p, v, slope = map_nodes(membrane.material, rim + (high - rim) * share, 0.0, rim, 48.0)
+    with np.errstate(all="ignore"):
+        logs = np.log(np.stack([(high - rim) * share, p, v]))
+    good = np.isfinite(logs).all(axis=0) & (slope < 0)
+    return make_interp_spline(np.flatnonzero(good).astype(float), logs[:, good], k=5, axis=1)
+
+
+def _first_place(line, row: int, wanted: np.ndarray) -> np.ndarray:
+    """Where the interpolant of log p (row 1) or log V (row 2) first reaches the wanted values; NaN where it never does."""
+    fine = np.linspace(line.t[0], line.t[-1], 12 * _LINE)
+    values = line(fine)[row]
+    peak = np.maximum.accumulate(values)
+    i = np.searchsorted(peak, np.log(wanted))
+    inside = (i > 0) & (i < len(fine))
+    i = np.clip(i, 1, len(fine) - 1)
+    share = (np.log(wanted) - values[i - 1]) / (values[i] - values[i - 1])
+    return np.where(inside, fine[i - 1] + np.clip(share, 0, 1) * (fine[i] - fine[i - 1]), np.nan)
+
+
+def _starts(scenes: list[Scene], crowd: Crowd, tolerance: float) -> Met:
+    """The states of smallest volume at zero voltage."""
+    lanes = len(scenes)
+    u, rows = np.full((lanes, 3), np.nan), np.zeros((lanes, 3))
+    rows[:, 1] = 1.0
+    targets, kinds = np.ones(lanes), np.full(lanes, LEVEL)
+    by_membrane: dict = {}
+    for i, scene in enumerate(scenes):
+        by_membrane.setdefault(ByLeaves.of(scene.membrane), []).append(i)
+        loading = scene.loading
+        if isinstance(loading, ConstantPressure):
+            targets[i] = float(loading.pressure)
+        elif loading.initial_volume is not None:
+            targets[i], kinds[i] = float(loading.initial_volume), VOLUME
+        else:
+            targets[i] = float(loading.initial_pressure)
+    with np.errstate(all="ignore"):
+        for key, own in by_membrane.items():
+            own, line = np.array(own), _zero_line(key)
+            for row, kind in ((2, VOLUME), (1, LEVEL)):
+                which = own[kinds[own] == kind]
+                place = _first_place(line, row, targets[which])
+                stretch, pressure, _ = np.exp(line(np.nan_to_num(place, nan=line.t[0])))
+                rim = crowd.membrane.prestretch[which]
+                u[which] = np.where(
+                    np.isfinite(place)[:, None], np.stack([rim + stretch, pressure, 0 * rim], axis=1), np.nan
+                )
+    held = ConstantVoltage(0.0).contour()
+    flat = Crowd(crowd.membrane, jax.tree.map(lambda v: np.full(lanes, float(v)), held), crowd.locks_from)
+    met = Met.nothing(lanes)
+    same: dict = {}  # scenes that begin in one state share it
+    for key, own in by_membrane.items():
+        for i in own:
+            if np.isfinite(u[i]).all():
+                same.setdefault((key, kinds[i], targets[i]), []).append(i)
+    if same:
+        first = np.array([own[0] for own in same.values()])
+        given = u[first], rows[first], targets[first], kinds[first]
+        found = flat.meet(first, *given, tolerance=tolerance / 10, reach=0.5)
+        which = np.concatenate([np.array(own) for own in same.values()])
+        source = np.repeat(np.arange(len(same)), [len(own) for own in same.values()])
+        for store, values in zip(met, found, strict=True):
+            store[which] = values[source]
+    return met
+
+
+def _contour_of(scene: Scene, pressure: float, volume: float) -> Contour:
+    if isinstance(scene.loading, Chamber):
+        return scene.loading.contour(pressure, volume)
+    return scene.loading.contour()
+
+
+@dataclasses.dataclass
+class _March:
+    """Traced lines under way: points and tangents in scaled unknowns, and why they ended."""
+
+    crowd: Crowd
+    limits: np.ndarray
+    owner: np.ndarray
+
+    def __post_init__(self):
+        lines = len(self.owner)
+        self.points, self.tangents = (np.full((lines, _MOST_POINTS, 3), np.nan) for _ in range(2))
+        self.count = np.zeros(lines, int)
+        self.code = np.full(lines, int(Code.not_converged))
+        self.evaluations = np.zeros(lines, int)
+
+    def run(self, u: np.ndarray, headings: np.ndarray) -> None:
+        """Follows every line from u (lines, 3) towards `headings`, on finer grids where a coarse one ends."""
+        peak = np.zeros(len(self.owner))
+        todo = np.flatnonzero(np.isfinite(u).all(axis=1))
+        for level, steps in enumerate(_TRACE_STEPS):
+            walk = new_walks(u, headings)
+            self.code[todo] = int(Code.ok)
+            going = todo
+            while len(going):
+                for now in calls(going):
+                    self._advance(now, walk, peak, steps, np.array(_TOPS[level]))
+                full = going[self.count[going] >= _MOST_POINTS - 8]
+                self.code[full[self.code[full] == int(Code.ok)]] = int(Code.too_many_points)
+                going = going[self.code[going] == int(Code.ok)]
+            unfinished = np.isin(self.code[todo], (int(Code.beyond_tolerance), int(Code.step_too_small)))
+            todo = todo[unfinished]
+            if not len(todo) or level + 1 == len(_TRACE_STEPS):
+                break
+            begun = self.count[todo] > 1
+            self.count[todo[begun]] -= 1  # on from the last point inside
+            again, last = todo[begun], self.count[todo[begun]] - 1
+            u, headings = u.copy(), headings.copy()
+            u[again], headings[again] = self.points[again, last] * SCALE, self.tangents[again, last] * SCALE
+            self.count[again] -= 1
+
+    def _advance(self, now, walk, peak, steps, tops) -> None:
+        lanes, count = padded(now), len(now)
+        own = self.owner[lanes]
+        membrane, contour = pick(self.crowd.membrane, own), pick(self.crowd.contour, own)
+        begin = pick(walk, lanes), peak[lanes], steps, tops, _LENGTHS
+        found, new_peak, passed = march_program(membrane, contour, self.limits[own], *begin)
+        for store, values in zip(walk, found, strict=True):
+            store[now] = np.asarray(values)[:count]
+        peak[now] = np.asarray(new_peak)[:count]
+        base, tangent, accepted = (np.asarray(v)[:, :count] for v in passed)
+        for k in range(len(base)):
+            new = now[accepted[k]]
+            self.points[new, self.count[new]] = base[k, accepted[k]]
+            self.tangents[new, self.count[new]] = tangent[k, accepted[k]]
+            self.count[new] += 1
+        self.code[now] = walk.code[now]
+
+
+def _elsewhere(scenes: list[Scene], crowd: Crowd, lines: Polylines) -> np.ndarray:
+    """Which scenes have a contour below breakdown that their line does not run along: another branch.
+
+    Seen on the scan of the membrane: cells of its grid in which the loading's residual changes sign, and in whose
+    neighbourhood the line has no point.
+    """
+    found = np.zeros(len(scenes), bool)
+    groups: dict = {}
+    for i, scene in enumerate(scenes):
+        groups.setdefault(ByLeaves.of(scene.membrane), []).append(i)
+    for key, own in groups.items():
+        membrane = key.membrane
+        stretches, _, loads = Scene(membrane, ConstantVoltage(0.0)).limits()
+        chart = cached_scan(membrane, stretches, loads)
+        columns = np.flatnonzero(chart.load_fraction >= -0.02)[::_EVERY]
+        rows = np.arange(0, len(chart.apex_stretch), _EVERY)
+        apex, t = chart.apex_stretch[rows], chart.load_fraction[columns]
+        p, v = (field[np.ix_(rows, columns)] for field in (chart.pressure, chart.volume))
+        q = t * chart.largest_load[rows, None]
+        breaks = crowd.limits(apex, np.full(len(apex), own[0]))[0]
+        below = (q[:-1, :-1] <= breaks[:-1, None]) & (t[:-1] >= 0)
+        own = np.array(own)
+        contour = jax.tree.map(lambda leaf: leaf[:, None, None], pick(crowd.contour, own))
+        with np.errstate(invalid="ignore"):
+            value = contour.residual(p, v, q)
+        known = np.isfinite(value)
+        sign = value < 0
+        corners = [(slice(None), slice(a, a - 1 or None), slice(b, b - 1 or None)) for a in (0, 1) for b in (0, 1)]
+        change = ~(sum(sign[c].astype(int) for c in corners) % 4 == 0) & np.all([known[c] for c in corners], axis=0)
+        dense = lines.take(own).dense(6) * SCALE
+        line, _ = np.nonzero(np.isfinite(dense[..., 0]))
+        x = dense[np.isfinite(dense[..., 0])]
+        limit = np.interp(x[:, 0], chart.apex_stretch, chart.largest_load)
+        i = np.clip(np.searchsorted(apex, x[:, 0]) - 1, 0, len(apex) - 2)
+        j = np.clip(np.searchsorted(t, x[:, 2] / limit) - 1, 0, len(t) - 2)
+        near = np.zeros_like(change)
+        for a, b in itertools.product((-1, 0, 1), repeat=2):
+            near[line, np.clip(i + a, 0, len(apex) - 2), np.clip(j + b, 0, len(t) - 2)] = True
+        found[own] = (change & below & ~near).any(axis=(1, 2))
+    return found
+
+
+def _block(scenes: list[Scene], tolerance: float) -> Batch:
+    """`continue_scenes` of scenes with membranes of one kind."""
+    membrane = _columns([s.membrane for s in scenes])
+    windows = {}
+    for scene in scenes:
+        key = id(scene.membrane), scene.window
+        if key not in windows:
+            windows[key] = scene.limits(), locking_stretch(scene.membrane)
+    limits = [windows[id(s.membrane), s.window] for s in scenes]
+    locks = np.array([lock for _, lock in limits])
+    nothing = _columns([ConstantVoltage(0.0).contour()] * len(scenes))
+    start = _starts(scenes, Crowd(membrane, nothing, locks), tolerance)
+    filled = (
+        [start.u[i, 1] if start.ok[i] else 1.0 for i in range(len(scenes))],
+        [start.volume[i] if start.ok[i] else 1.0 for i in range(len(scenes))],
+    )
+    contour = _columns([_contour_of(s, p, v) for s, p, v in zip(scenes, *filled, strict=True)])
+    crowd = Crowd(membrane, contour, locks)
+    box = np.array([[*stretch, *load, lock] for (stretch, _, load), lock in limits])
+    box[:, 0] += 1e-8 * (box[:, 1] - box[:, 0])
+    march = _March(crowd, box, np.arange(len(scenes)))
+    heading = np.tile([0.0, 0.0, 1.0], (len(scenes), 1))
+    march.run(np.where(start.ok[:, None], start.u, np.nan), heading)
+    most = max(int(march.count.max()), 2)
+    lines = Polylines(march.points[:, :most], march.tangents[:, :most], march.count)
+    began = np.flatnonzero(start.ok & (march.count > 0))
+    lines.points[began, 0] = start.u[began] / SCALE  # the traced one lies on the coarse grid
+    found = assemble(crowd, march.owner, lines, tolerance)
+    cone = (march.code == int(Code.beyond_tolerance)) & (
+        lines.points[np.arange(len(scenes)), np.maximum(march.count - 1, 0), 0] < locks
+    )
+    march.code[cone] = int(Code.apex_cone)
+    ended = np.isin(march.code, (int(Code.breakdown), int(Code.apex_cone)))
+    alone = ~_elsewhere(scenes, crowd, lines)
+    known = ended & ~found.doubt, alone, cone
+    at_crossings = crowd.limits(found.crossings.met.u[:, 0], march.owner[found.crossings.line])[0]
+    columns = tell_ramps(found, start, at_crossings, *known)
+    ends = lines.points[:, [0, 0], 0] * SCALE[0]
+    ends[:, 1] = lines.points[np.arange(len(scenes)), np.maximum(march.count - 1, 0), 0] * SCALE[0]
+    told, *marks, snaps, outcome = columns
+    landings = told[:, 0, 3:5]
+    own = np.repeat(np.arange(len(scenes)), 2)
+    loads = crowd.limits(np.nan_to_num(landings, nan=2.0).ravel(), own)[0].reshape(landings.shape)
+    ramps = ramps_of(lambda _: loads, told, *marks, snaps, outcome, ends)
+    return Batch(ramps, march.code, found.lines.points * SCALE)

@@ -1,0 +1,167 @@
+"""Batched continuation: known numbers, the extended-precision references, and single diagrams of the same scenes."""
+
+import csv
+import itertools
+import math
+import pathlib
+
+import numpy as np
+import pytest
+
+import dielectric_jax as dj
+from dielectric_jax import Outcome, continue_scenes
+from dielectric_jax.polylines import Places, Polylines
+
+DATA = pathlib.Path(__file__).parent.parent / "benchmarks" / "data" / "chambers.csv"
+FILM = dj.Membrane()
+
+
+def chamber(volume, filling=2.42, membrane=FILM):
+    return dj.Scene(membrane, dj.Chamber(volume=volume, initial_volume=filling))
+
+
+def finite(values):
+    return values[np.isfinite(values)]
+
+
+def test_reference_numbers():
+    """Snap, landing, breakdown and area strain at V_0 = 2.42, from methods that share no code."""
+    ramps = continue_scenes([chamber(v) for v in (500.0, 800.0, 1600.0, 25000.0)]).ramps
+    assert (ramps.outcome == Outcome.breakdown_on_branch).all() and list(ramps.snaps) == [0, 1, 1, 1]
+    assert np.allclose(ramps.snap.voltage[1:3, 0], [0.0971990067469, 0.0764953595449], rtol=1e-9)
+    assert np.allclose(ramps.landing.volume[1:3, 0], [9.07429967742, 19.9533292542], rtol=1e-8)
+    assert np.allclose(ramps.breakdown.voltage[1:3], [0.115172761046, 0.100970094106], rtol=1e-9)
+    assert np.allclose(ramps.area_strain, [12.6847453, 14.0104827, 16.1218889, 25.567264], rtol=1e-7)
+    assert np.allclose(ramps.start.pressure, 1.886612680245, rtol=1e-10)
+    # the way down stays in the snapped state from V_C = 1455.896 on
+    assert list(np.isfinite(ramps.snap_back.voltage[:, 0])) == [False, True, False, False]
+    assert [len(finite(v)) for v in ramps.zero_voltage.volume] == [1, 1, 3, 3]
+    assert [len(finite(v)) for v in ramps.folds.volume] == [0, 2, 2, 2]
+
+
+def test_every_eighth_chamber_of_the_references():
+    """Folds, zero-voltage states, breakdown and landing of 32 chambers, made without the package in extended precision."""
+    with DATA.open() as file:
+        groups = itertools.groupby(csv.DictReader(file), key=lambda row: float(row["chamber_volume"]))
+        truth = {volume: [(r["kind"], float(r["voltage_squared"]), float(r["volume"])) for r in g] for volume, g in groups}
+    some = list(truth)[::8]
+    batch = continue_scenes([chamber(v) for v in some])
+    assert (batch.code == dj.Code.breakdown).all()
+    for i, volume in enumerate(some):
+        of = {kind: [row[1:] for row in truth[volume] if row[0] == kind] for kind, _, _ in truth[volume]}
+        folds = batch.ramps.folds
+        assert len(finite(folds.volume[i])) == len(of.get("fold", []))
+        for k, (q, v) in enumerate(of.get("fold", [])):
+            if q > 0:
+                assert abs(folds.voltage[i, k] - math.sqrt(q)) < 1e-8
+            assert abs(folds.volume[i, k] / v - 1) < 10 * folds.error[i, k] < 1e-3
+        zero = finite(batch.ramps.zero_voltage.volume[i])
+        np.testing.assert_allclose(zero, [v for _, v in of["zero_voltage"]], rtol=1e-7)
+        assert abs(batch.ramps.breakdowns.voltage[i, 0] - math.sqrt(of["breakdown"][0][0])) < 1e-9
+        if "landing" in of:
+            landing = batch.ramps.landing
+            assert abs(landing.volume[i, 0] / of["landing"][0][1] - 1) < 10 * landing.error[i, 0] < 1e-6
+
+
+def test_no_fold_where_there_is_none():
+    """Between the cusps V_C = 484.04966 and 551.39914 at V_0 = 2.42 the voltage rises all along the branch."""
+    inside = continue_scenes([chamber(v) for v in np.linspace(484.1, 551.3, 20)]).ramps
+    assert np.isnan(inside.folds.volume).all() and (inside.snaps == 0).all()
+    outside = continue_scenes([chamber(v) for v in (470.0, 480.0, 560.0, 580.0)]).ramps
+    assert [len(finite(v)) for v in outside.folds.volume] == [2] * 4
+
+
+def test_lanes_do_not_disturb_each_other():
+    """Easy, hard and impossible scenes together give what each gives alone."""
+    other = dj.Membrane(prestretch=2.0, material=dj.Gent(stretch_limit=120.0))
+    scenes = [
+        chamber(800.0),
+        chamber(1600.0, 1e4),  # more than the membrane holds
+        chamber(484.05),
+        dj.Scene(FILM, dj.ConstantPressure(3.0)),  # above the peak
+        chamber(1000.0, 20.0, other),
+        dj.Scene(FILM, dj.ConstantPressure(1.82)),
+        chamber(1e-3),
+        chamber(1e9),
+    ]
+    together = continue_scenes(scenes)
+    assert [int(c) for c in together.code[[1, 3]]] == [dj.Code.no_equilibrium] * 2
+    assert (together.ramps.outcome[[1, 3]] == Outcome.unresolved).all()
+    assert np.isnan(together.ramps.start.volume[[1, 3]]).all() and np.isnan(together.branches[[1, 3]]).all()
+    for i, scene in enumerate(scenes):
+        alone = continue_scenes([scene])
+        assert alone.ramps.outcome[0] == together.ramps.outcome[i] and alone.code[0] == together.code[i]
+        for name in ("start", "snap", "landing", "breakdown", "rest"):
+            for field in ("voltage", "volume"):
+                mine, theirs = (getattr(getattr(r, name), field)[k] for r, k in ((alone.ramps, 0), (together.ramps, i)))
+                np.testing.assert_allclose(mine, theirs, rtol=1e-12)
+
+
+def test_single_diagrams_of_random_scenes():
+    """What a batch tells is what `voltage_volume` tells: the way the ramp ends, and its events within the errors."""
+    random = np.random.default_rng(4)
+    membranes = [FILM, dj.Membrane(prestretch=1.6, material=dj.Gent(stretch_limit=200.0))]
+    scenes = []
+    for membrane in membranes:
+        peak = min(p.volume for p in dj.pressure_volume(membrane).special_points if p.kind == "fold")
+        for _ in range(4):
+            sizes = float(np.exp(random.uniform(np.log(30), np.log(25000)))), float(random.uniform(0.5, 1) * peak)
+            scenes.append(chamber(*sizes, membrane))
+    ramps = continue_scenes(scenes).ramps
+    told = np.flatnonzero(ramps.outcome != Outcome.unresolved)
+    assert len(told) >= 4
+    reasons = {
+        Outcome.breakdown_on_branch: ("breakdown on the branch",),
+        Outcome.breakdown_in_snap: ("breakdown in the snap",),
+        Outcome.no_unbroken_landing: ("no landing", "breakdown in the snap"),
+    }
+    for i in told:
+        ramp = dj.voltage_volume(scenes[i]).ramp()
+        assert ramp.area_strain_reason in reasons[Outcome(int(ramps.outcome[i]))]
+        assert abs(ramps.area_strain[i] / ramp.area_strain - 1) < 1e-5
+        snaps = [e.state.voltage for e in ramp.events if e.event == "snap"]
+        np.testing.assert_allclose(finite(ramps.snap.voltage[i]), snaps, rtol=1e-8)
+
+
+def test_bad_input_is_refused():
+    with pytest.raises(ValueError, match="`scenes` must hold at least one"):
+        continue_scenes([])
+    with pytest.raises(ValueError, match="`scenes` must be scenes with a Chamber"):
+        continue_scenes([dj.Scene(FILM, dj.ConstantVoltage(0.1))])
+    with pytest.raises(ValueError, match="tolerance"):
+        continue_scenes([chamber(800.0)], tolerance=2.0)
+
+
+def sine_lines(count):
+    """Two lines (s, 0, sin s) and (s, 0, cos s), with unit tangents."""
+    s = np.linspace(0.1, 6.1, count)
+    points = np.stack([np.stack([s, 0 * s, f(s)], axis=1) for f in (np.sin, np.cos)])
+    slopes = np.stack([np.stack([1 + 0 * s, 0 * s, f(s)], axis=1) for f in (np.cos, lambda x: -np.sin(x))])
+    tangents = slopes / np.linalg.norm(slopes, axis=2, keepdims=True)
+    return Polylines(points, tangents, np.full(2, count)), s
+
+
+def test_turns_and_crossings_of_known_curves():
+    """Turning points of sine and cosine at π/2, 3π/2 and π; zeros at π, and at π/2 and 3π/2."""
+    lines, _ = sine_lines(25)
+    turns, dips = lines.turns(2)
+    at, tangent, bend = lines.at(turns)
+    np.testing.assert_allclose(at[:, 0], [np.pi / 2, 3 * np.pi / 2, np.pi], atol=2e-4)
+    np.testing.assert_allclose(tangent[:, 2], 0, atol=1e-10)
+    np.testing.assert_allclose(bend[:, 2], [-1, 1, 1], rtol=2e-2)
+    assert not len(dips)
+    row, zeros = lines.crossings(lines.points[..., 2], lines.tangents[..., 2], np.arange(2))
+    assert list(row) == [0, 1, 1]
+    np.testing.assert_allclose(lines.at(zeros)[0][:, 0], [np.pi, np.pi / 2, 3 * np.pi / 2], atol=2e-4)
+
+
+def test_points_are_put_where_they_belong():
+    lines, s = sine_lines(7)
+    places = Places(np.array([1, 0, 0]), np.array([2, 4, 0]), np.array([0.5, 0.25, 0.5]))
+    at, tangent, _ = lines.at(places)
+    more, moved = lines.insert(places, at, tangent)
+    assert list(more.count) == [9, 8]
+    for line in range(2):
+        x = more.points[line, : more.count[line], 0]
+        assert (np.diff(x) > 0).all()
+        np.testing.assert_array_equal(x[moved[line]], s)
