@@ -1,0 +1,315 @@
+"""The diagram of a chamber by SciPy: shooting with DOP853, or collocation with `solve_bvp`; plain NumPy, no JAX.
+
+Unknowns are x = (λa, p, q). A solver meets the rim and the gas law on a plane in x; `follow` steps along the branch with it,
+either at given apex stretches (natural: they never fold here) or on planes across the tangent (arclength), and locates
+folds, zero-voltage states, breakdown, and the landing.
+"""
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Callable
+
+import chambers
+import numpy as np
+from scipy.integrate import solve_bvp, solve_ivp
+from scipy.optimize import brentq
+
+SCALE = np.array([1.0, 0.2, 4e-3])  # of λa, p, q: units in which arclength is measured
+START = np.array([1.95822343926, 1.886612680245, 0.0])  # V = 2.42 at zero voltage
+_FIRST = 1e-3  # R of the apex series
+_NODES = 9  # through which the extreme at a fold is taken
+
+
+def stresses(l1, l2, q):
+    """s1, s2, ∂s1/∂λ1, ∂s1/∂λ2 of the Gent material; numbers or arrays."""
+    c = 1 / (l1 * l2) ** 2
+    g = 1 - (l1 * l1 + l2 * l2 + c - 3) / chambers.STRETCH_LIMIT
+    a1, a2 = l1 - c / l1, l2 - c / l2
+    return (
+        a1 / g - q * l1 * l2 * l2,
+        a2 / g - q * l1 * l1 * l2,
+        (1 + 3 * c / (l1 * l1)) / g + 2 * a1 * a1 / (chambers.STRETCH_LIMIT * g * g) - q * l2 * l2,
+        2 * c / (l1 * l2) / g + 2 * a1 * a2 / (chambers.STRETCH_LIMIT * g * g) - 2 * q * l1 * l2,
+    )
+
+
+def series(x):
+    """λ2, θ, λ1, V at R = `_FIRST`."""
+    apex, p, q = x
+    s, _, s11, s12 = stresses(apex, apex, q)
+    kappa = p * apex**2 / (2 * s)
+    b = -(s + apex * (3 * s11 - s12)) * kappa**2 / (16 * s11)
+    l2, l1 = apex + b * _FIRST**2, apex + (3 * b + apex * kappa**2 / 2) * _FIRST**2
+    theta = math.asin(p * l2 * l2 * _FIRST / (2 * stresses(l1, l2, q)[0]))
+    return [l2, theta, l1, math.pi / 4 * apex**3 * kappa * _FIRST**4]
+
+
+def slopes(radius, l2, theta, l1, p, q, sin=math.sin, cos=math.cos):
+    """d(λ2, θ, λ1, V)/dR."""
+    s1, s2, s11, s12 = stresses(l1, l2, q)
+    sine, cosine = sin(theta), cos(theta)
+    lean = l1 * cosine - l2
+    return (
+        lean / radius,
+        -s2 / s1 * sine / radius + p * l1 * l2 / s1,
+        (s2 * cosine - s1 - s12 * lean) / (radius * s11),
+        math.pi * (l2 * radius) ** 2 * l1 * sine,
+    )
+
+
+class Gas:
+    """The gas law (p + 50)(V + V_C) = const, as p + 50 − const/(V + V_C)."""
+
+    def __init__(self, chamber: float):
+        self.chamber = chamber
+        self.amount = (START[1] + chambers.ATMOSPHERE) * (chambers.INITIAL_VOLUME + chamber)
+
+    def defect(self, p, v):
+        return p + chambers.ATMOSPHERE - self.amount / (v + self.chamber)
+
+
+class Shooting:
+    """Newton on the rim's stretch and the gas law by shots with DOP853.
+
+    The shot carries two neighbours, moved in λa and in q, on the same steps: differences of these are the Jacobian. That of
+    p is free: a scaling of R changes p alone.
+    """
+
+    def __init__(self, chamber: float, tolerance: float):
+        self.gas, self.tolerance = Gas(chamber), tolerance
+        self.shots = 0
+
+    def shoot(self, x):
+        """Defects of rim and gas, their Jacobian, and V."""
+        self.shots += 1
+        moves = np.array([[0, 0, 0], [1e-6 * x[0], 0, 0], [0, 0, 1e-7]])
+        lanes = [tuple(x + m) for m in moves]
+
+        def rates(radius, y):
+            y = y.tolist()
+            out = []
+            for k, (_, p, q) in enumerate(lanes):
+                out += slopes(radius, *y[4 * k : 4 * k + 3], p, q)
+            return out
+
+        start = np.concatenate([series(lane) for lane in lanes])
+        with np.errstate(all="ignore"):
+            done = solve_ivp(
+                rates, (_FIRST, 1.0), start, method="DOP853", rtol=self.tolerance, atol=1e-3 * self.tolerance
+            )
+        if not done.success:
+            raise ArithmeticError(done.message)
+        end = done.y[:, -1].reshape(3, 4)
+        rate = np.array(slopes(1.0, *end[0, :3], x[1], x[2]))
+        by_apex, by_q = (end[1] - end[0]) / moves[1, 0], (end[2] - end[0]) / moves[2, 2]
+        by_p = np.array([rate[0], 0, 0, rate[3] - 3 * end[0, 3]]) / x[1]
+        columns = np.stack([by_apex, by_p, by_q], axis=1)
+        v = end[0, 3]
+        push = self.gas.amount / (v + self.gas.chamber) ** 2
+        jacobian = np.stack([columns[0], push * columns[3] + [0, 1, 0]])
+        return np.array([end[0, 0] - 1.0, self.gas.defect(x[1], v)]), jacobian, v
+
+    def point(self, guess, normal, near=None):
+        """x, V on the plane through `guess`; the unit tangent, scaled."""
+        x = guess.copy()
+        for _ in range(8):
+            value, jacobian, v = self.shoot(x)
+            bordered = np.vstack([jacobian * SCALE, normal])
+            step = -np.linalg.solve(bordered, [*value, normal @ ((x - guess) / SCALE)])
+            x = x + SCALE * step
+            if (size := np.abs(step).max()) < max(3e-5, math.sqrt(self.tolerance) / 10):
+                # Newton is quadratic: what is left is about the square
+                v = v + self._volume_move(jacobian, step, v)
+                tangent = np.linalg.solve(bordered, [0.0, 0.0, 1.0])
+                return Point(x, v, tangent / np.linalg.norm(tangent))
+            if not size < 2:
+                break
+        raise ArithmeticError("Newton did not converge")
+
+    def _volume_move(self, jacobian, step, v):
+        """The change of V along a step that meets the gas law."""
+        push = self.gas.amount / (v + self.gas.chamber) ** 2
+        return ((jacobian[1] - [0, 1, 0]) * SCALE) @ step / push
+
+
+class Collocation:
+    """`solve_bvp` with λa, p, q as its unknown parameters."""
+
+    def __init__(self, chamber: float, tolerance: float):
+        self.gas, self.tolerance = Gas(chamber), tolerance
+        self.shots = 0
+
+    def point(self, guess, normal, near=None):
+        """x and V on the plane through `guess`, the mesh from the point `near`; no tangent."""
+        self.shots += 1
+
+        def rates(radius, y, x):
+            return np.stack(slopes(radius, *y[:3], x[1], x[2], np.sin, np.cos))
+
+        def conditions(y0, y1, x):
+            on_plane = normal @ ((x - guess) / SCALE)
+            return np.array([*(y0 - series(x)), y1[0] - 1.0, self.gas.defect(x[1], y1[3]), on_plane])
+
+        mesh, y = near.solution if near is not None else self._first()
+        with np.errstate(all="ignore"):
+            done = solve_bvp(rates, conditions, mesh, y, p=guess, tol=self.tolerance, max_nodes=20_000)
+        if not done.success or np.abs((done.p - guess) / SCALE).max() > 1:
+            raise ArithmeticError(done.message)
+        return Point(done.p, done.y[3, -1], None, (done.x, done.y))
+
+    def _first(self):
+        mesh = np.concatenate([np.geomspace(_FIRST, 0.1, 8)[:-1], np.linspace(0.1, 1.0, 12)])
+
+        def rates(radius, y):
+            return slopes(radius, *y[:3], START[1], START[2])
+
+        y = solve_ivp(rates, (_FIRST, 1.0), series(START), method="DOP853", rtol=1e-8, atol=1e-12, t_eval=mesh).y
+        return mesh, y
+
+
+@dataclasses.dataclass
+class Point:
+    """A point of the branch: x = (λa, p, q), V, and what its solver knows of it."""
+
+    x: np.ndarray
+    volume: float
+    tangent: np.ndarray | None = None
+    solution: tuple | None = None
+
+    @property
+    def q(self) -> float:
+        return float(self.x[2])
+
+    @property
+    def excess(self) -> float:
+        """Positive beyond breakdown."""
+        return float(self.x[2] - chambers.breakdown_load(self.x[0]))
+
+
+def follow(solver, natural: bool, largest: float, stop: Callable[[list[Point]], bool]) -> list[Point]:
+    """Points of the branch from the filling on until `stop` of the points."""
+    across = np.array([1.0, 0.0, 0.0])
+    points = [solver.point(START.copy(), np.array([0.0, 0.0, 1.0]))]
+    step = 0.05
+    while not stop(points) and len(points) < 1000:
+        here = points[-1]
+        ahead = _direction(points, step, across if natural else None)
+        try:
+            found = solver.point(
+                here.x + step * ahead * SCALE, across if natural else ahead / np.linalg.norm(ahead), here
+            )
+            turn = _turn(here, found, ahead)
+            # without a tangent the turn cannot fall below that of the last chord
+            if turn > (0.3 if here.tangent is not None or step > 0.1 else 0.9):
+                raise ArithmeticError("the step turns too far")
+        except (ArithmeticError, ValueError, np.linalg.LinAlgError):
+            step /= 2
+            if step < 1e-5:
+                break
+            continue
+        points.append(found)
+        if turn < 0.1:
+            step = min(1.5 * step, largest)
+    return points
+
+
+def _direction(points, step, across):
+    """The scaled tangent of the last point, or the chord's on a parabola; of unit λa where steps are natural."""
+    last = points[-1]
+    if last.tangent is not None:
+        ahead = last.tangent
+        back = (last.x - points[-2].x) / SCALE if len(points) > 1 else np.array([0.0, 0.0, 1.0])
+        ahead = ahead if ahead @ back > 0 else -ahead
+    elif len(points) > 1:
+        ways = [(b.x - a.x) / SCALE for a, b in itertools.pairwise(points[-3:])]
+        sizes = [np.linalg.norm(way) for way in ways]
+        ahead = ways[-1] / sizes[-1]
+        if len(ways) > 1:
+            bend = (ahead - ways[0] / sizes[0]) / sum(sizes)
+            ahead = ahead + bend * (sizes[1] + min(step, 2 * sizes[1]))
+            ahead = ahead / np.linalg.norm(ahead)
+    else:
+        ahead = np.array([0.25, 0.0, 1.0])
+        ahead = ahead / np.linalg.norm(ahead)
+    return ahead if across is None else ahead / (ahead @ across)
+
+
+def _turn(here, found, ahead) -> float:
+    """The angle between prediction and way."""
+    way = (found.x - here.x) / SCALE
+    cosine = way @ ahead / np.linalg.norm(way) / np.linalg.norm(ahead)
+    return math.acos(min(1.0, max(-1.0, cosine)))
+
+
+def between(solver, a: Point, b: Point, natural: bool):
+    """The branch between two points as a function of a share of the way."""
+    chord = (b.x - a.x) / SCALE
+    normal = np.array([1.0, 0.0, 0.0]) if natural else chord / np.linalg.norm(chord)
+    return lambda share: solver.point(a.x + share * (b.x - a.x), normal, b)
+
+
+def fold(solver, a: Point, b: Point, natural: bool) -> tuple[float, float]:
+    """q and V of the extreme of q between two points, by the polynomials through Chebyshev nodes."""
+    along = between(solver, a, b, natural)
+    nodes = np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES)
+    found = [along((1 + node) / 2) for node in nodes]
+    q, v = (np.polynomial.Chebyshev.fit(nodes, [f(p) for p in found], _NODES - 1, domain=[-1, 1]) for f in _FIELDS)
+    roots = q.deriv().roots()
+    real = roots.real[(np.abs(roots.imag) < 1e-9) & (np.abs(roots.real) <= 1)]
+    place = real[np.argmax(np.abs(q(real)))] if len(real) > 1 else real[0]
+    return float(q(place)), float(v(place))
+
+
+_FIELDS = (lambda p: p.q, lambda p: p.volume)
+
+
+def crossing(solver, a: Point, b: Point, natural: bool, value: Callable[[Point], float]) -> Point:
+    """The point between two at which `value` vanishes."""
+    along = between(solver, a, b, natural)
+    ends = {0.0: a, 1.0: b}
+
+    def at(share):
+        if share not in ends:
+            ends[share] = along(share)
+        return value(ends[share])
+
+    root = brentq(at, 0.0, 1.0, xtol=1e-11, rtol=1e-11)
+    at(root)
+    return ends[root]
+
+
+def diagram(solver, natural: bool, largest: float = 0.4) -> tuple[chambers.Found, dict]:
+    """The special points of a chamber, and counts of the work."""
+
+    def peaks(points):
+        q = [p.q for p in points]
+        return [i for i in range(1, len(q) - 1) if (q[i] - q[i - 1]) * (q[i + 1] - q[i]) < 0]
+
+    def stop(points):
+        if points[-1].excess < 0:
+            return points[-1].x[0] > 10.5
+        # past breakdown: on to the landing of the snap, if there is one
+        turns = peaks(points)
+        return not turns or points[-1].q > max(points[i].q for i in turns) or points[-1].x[0] > 10.2
+
+    points = follow(solver, natural, largest, stop)
+    signs = np.sign([p.excess for p in points])
+    over = int(np.argmax(signs > 0)) if (signs > 0).any() else None
+    last = over if over is not None else len(points) - 1
+    turns = [i for i in peaks(points) if i <= last]
+    folds = [fold(solver, points[i - 1], points[i + 1], natural) for i in turns]
+    broken = crossing(solver, points[over - 1], points[over], natural, lambda p: p.excess) if over else None
+    zeros = []
+    for a, b in zip(points[1:last], points[2 : last + 1], strict=True):
+        if a.q * b.q < 0:
+            zeros.append(crossing(solver, a, b, natural, lambda p: p.q).volume)
+    landing = chambers.NAN
+    if folds:
+        snap = folds[0][0]
+        for a, b in zip(points[turns[0] + 1 :], points[turns[0] + 2 :], strict=False):
+            if a.q < snap <= b.q:
+                landing = crossing(solver, a, b, natural, lambda p: p.q - snap).volume
+                break
+    found = chambers.Found(folds, zeros, broken.q if broken else chambers.NAN, landing)
+    return found, {"points": len(points), "solves": solver.shots}
