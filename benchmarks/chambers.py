@@ -29,8 +29,10 @@ def voltage(q):
 
 @dataclasses.dataclass
 class Found:
-    """Special points of one chamber in their order on the branch: (q, V) of folds, volumes at zero voltage without the start's,
-    q of the first breakdown, and the volume of the snap's landing: None where an engine tells of none, NaN where it should.
+    """Special points of one chamber in their order on the branch, from the filling on to the first breakdown.
+
+    (q, V) of folds, where q is NaN if it is negative and an engine tells no more; volumes at zero voltage without the start's;
+    q of breakdown; the volume of the landing of the snap, None where an engine does not seek it, NaN where it found none.
     """
 
     folds: list[tuple[float, float]]
@@ -70,7 +72,7 @@ def judge(found: dict[float, Found], truth: dict[float, Found]) -> dict:
     """
     errors = {"error": 0.0, "fold_volume_error": 0.0, "breakdown_error": 0.0, "zero_voltage_error": 0.0}
     errors["landing_error"] = 0.0
-    missing = false = wrong = missing_breakdown = 0
+    missing = false = wrong = missing_breakdown = missing_landing = 0
     told_zero = told_landing = False
     for chamber, one in found.items():
         true = truth[chamber]
@@ -79,7 +81,8 @@ def judge(found: dict[float, Found], truth: dict[float, Found]) -> dict:
         missing += max(0, len(true.folds) - len(one.folds))
         false += max(0, len(one.folds) - len(true.folds))
         for (q, v), (true_q, true_v) in matched(one.folds, true.folds):
-            own["error"] = max(own["error"], abs(voltage(q) - voltage(true_q)))
+            if np.isfinite(q) or true_q > 0:
+                own["error"] = max(own["error"], np.nan_to_num(abs(voltage(q) - voltage(true_q)), nan=np.inf))
             own["fold_volume_error"] = max(own["fold_volume_error"], abs(v / true_v - 1))
         own["breakdown_error"] = abs(voltage(one.breakdown) - voltage(true.breakdown))
         if not np.isfinite(own["breakdown_error"]):
@@ -95,6 +98,7 @@ def judge(found: dict[float, Found], truth: dict[float, Found]) -> dict:
         if one.landing is not None:
             told_landing = True
             bad |= np.isfinite(one.landing) != (true.landing is not None)
+            missing_landing += true.landing is not None and not np.isfinite(one.landing)
             if np.isfinite(one.landing) and true.landing is not None:
                 own["landing_error"] = abs(one.landing / true.landing - 1)
         # a fold's volume is as uncertain as the root of its load's error
@@ -106,7 +110,8 @@ def judge(found: dict[float, Found], truth: dict[float, Found]) -> dict:
     if not told_landing:
         errors["landing_error"] = None
     counts = {"lanes": len(found), "missing_folds": missing, "false_folds": false, "wrong_lanes": wrong}
-    return {**errors, "counts": {**counts, "missing_breakdowns": missing_breakdown}}
+    counts |= {"missing_breakdowns": missing_breakdown, "missing_landings": missing_landing if told_landing else None}
+    return {**errors, "counts": counts}
 
 
 def matched(found: list, true: list) -> list[tuple]:
@@ -114,5 +119,5 @@ def matched(found: list, true: list) -> list[tuple]:
     if len(found) == len(true):
         return list(zip(found, true, strict=True))
     if len(found) < len(true):
-        return [(f, min(true, key=lambda t: abs(t[0] - f[0]))) for f in found]
-    return [(min(found, key=lambda f: abs(f[0] - t[0])), t) for t in true]
+        return [(f, min(true, key=lambda t: abs(t[1] - f[1]))) for f in found]
+    return [(min(found, key=lambda f: abs(f[1] - t[1])), t) for t in true]

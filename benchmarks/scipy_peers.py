@@ -301,7 +301,7 @@ def diagram(solver, natural: bool, largest: float = 0.4) -> tuple[chambers.Found
     folds = [fold(solver, points[i - 1], points[i + 1], natural) for i in turns]
     broken = crossing(solver, points[over - 1], points[over], natural, lambda p: p.excess) if over else None
     zeros = []
-    for a, b in zip(points[1:last], points[2 : last + 1], strict=True):
+    for a, b in itertools.pairwise(points[1 : last + 1]):
         if a.q * b.q < 0:
             zeros.append(crossing(solver, a, b, natural, lambda p: p.q).volume)
     landing = chambers.NAN
