@@ -12,7 +12,8 @@ time; what carries over to another machine are ratios. Compiling, building a sur
 - `jaxcont`: the package of that name, all lanes in one `vmap`, with our explicit map as its residual.
 - `auto`: AUTO-07p, one process a lane, of which the seconds that it prints are counted, the best of the rounds lane by
   lane; no landing, which needs another run. Many settings compete on some lanes; of those that find all folds and no other
-  the quickest within an error of 1e-6, 1e-8, 1e-10 and 1e-12 run on all lanes. The one for 1e-8 is what others are compared with.
+  and are right at breakdown to 1e-6, the quickest within an error of 1e-6, 1e-8, 1e-10 and 1e-12 are shown. What others are
+  compared with is the quickest within 1e-8.
 
     AUTO_DIR=… python benchmarks/batch_diagrams.py [--json FILE|-] [--quick] [--engines continuation,surface,…]
 """
@@ -40,6 +41,7 @@ jax.config.update("jax_enable_x64", True)
 
 ALLOWED = 1e-8  # error of AUTO's fold voltages in the comparison
 BOUNDS = (1e-6, ALLOWED, 1e-10, 1e-12)
+_FINALISTS = 4  # settings of AUTO a bound that run on all lanes
 MEMBRANE = dj.Membrane(material=dj.Gent(chambers.STRETCH_LIMIT))
 
 
@@ -108,14 +110,14 @@ def of_diagram(diagram: dj.Diagram) -> Found:
     )
 
 
-def continuation(lanes: list[float], tolerance: float) -> dict[float, Found]:
+def continuation(lanes: list[float], tolerance: float, **options) -> dict[float, Found]:
     """Our diagrams by continuation: one after the other."""
     found = {}
     for chamber in lanes:
         loading = dj.Chamber(
             volume=chamber, initial_volume=chambers.INITIAL_VOLUME, atmospheric_pressure=chambers.ATMOSPHERE
         )
-        found[chamber] = of_diagram(dj.voltage_volume(dj.Scene(MEMBRANE, loading), tolerance=tolerance))
+        found[chamber] = of_diagram(dj.voltage_volume(dj.Scene(MEMBRANE, loading), tolerance=tolerance, **options))
     return found
 
 
@@ -173,6 +175,23 @@ def surface_entries(lanes, quick):
             rounds=5,
             more={"build_seconds": build},
         )
+    if not quick:
+        yield Entry(
+            "surface",
+            {"tolerance": tolerance, "unresolved": "by voltage_volume"},
+            lanes,
+            lambda: resolved(surface, lanes),
+        )
+
+
+def resolved(surface, lanes):
+    """The ramps, and diagrams on the surface, certified by shooting, of the lanes that they leave unresolved."""
+    begin = time.perf_counter()
+    ramps = dj.chamber_ramps(surface, lanes, chambers.INITIAL_VOLUME)
+    rest = [c for c, outcome in zip(lanes, ramps.outcome, strict=True) if outcome == dj.Outcome.unresolved]
+    found = continuation(rest, 1e-9, surface=surface)
+    seconds = time.perf_counter() - begin
+    return of_ramps(lanes, ramps) | found, seconds, {"unresolved": 0, "by_voltage_volume": len(rest)}
 
 
 @dataclasses.dataclass
@@ -200,7 +219,7 @@ def scipy_entries(solver, settings, lanes, count):
             begin = time.perf_counter()
             for chamber in some:
                 try:
-                    found[chamber], work = scipy_peers.diagram(solver(chamber, tolerance), natural)
+                    found[chamber], work = scipy_peers.diagram(solver(scipy_peers.Gas(chamber), tolerance), natural)
                     points, solves = points + work["points"], solves + work["solves"]
                 except (ArithmeticError, ValueError, IndexError, np.linalg.LinAlgError):
                     found[chamber] = Found([], [], chambers.NAN, chambers.NAN)
@@ -239,7 +258,7 @@ def jaxcont_entries(lanes, quick):
 
 def auto_constants(intervals, collocation, tolerance, first, longest) -> str:
     return (
-        f"NTST={intervals}, NCOL={collocation}, EPSL={tolerance}, EPSU={tolerance}, EPSS=1e-5, DS={first}, DSMAX={longest}, "
+        f"NTST={intervals}, NCOL={collocation}, EPSL={tolerance}, EPSU={tolerance}, EPSS=1e-6, DS={first}, DSMAX={longest}, "
         "UZR={'q': 0.0}"
     )
 
@@ -262,14 +281,20 @@ def auto_lanes(folder: str, constants: str, lanes, rounds: int):
     return found, seconds, {"points": points, "process_seconds": process}
 
 
+def is_right(judged: dict, bound: float) -> bool:
+    """Whether every fold is within the bound, and no lane is wrong."""
+    counts = judged["counts"]
+    return judged["error"] <= bound and not counts["missing_folds"] + counts["false_folds"] + counts["wrong_lanes"]
+
+
 def screened(folder, lanes, truth) -> list[tuple]:
-    """Of many settings those that find every fold and no other on some lanes, as (seconds, error, setting), quickest first."""
+    """Of many settings those that are right on some lanes, as (seconds, judgement, setting), quickest first."""
     # the lanes next to the chambers without a fold are the hardest: two folds nearly meet there
     bare = [k for k, c in enumerate(lanes) if not truth[c].folds]
     hard = [lanes[k] for k in sorted({k + d for k in (bare[0], bare[-1]) for d in (-2, -1, 0, 1, 2)})] if bare else []
     some = sorted({*chambers.spread(lanes, 8), *hard})
     right = []
-    steps = ((1e-3, 1.0), (0.1, 1.0), (0.1, 0.4), (0.03, 0.1))
+    steps = ((1e-3, 1.0), (0.1, 1.0), (0.1, 0.6), (0.1, 0.4), (0.1, 0.2))
     for setting in itertools.product((4, 5, 6, 8, 10, 20), (4, 5, 6), (1e-4, 1e-5, 1e-6, 1e-8, 1e-10), steps):
         intervals, collocation, tolerance, (first, longest) = setting
         if intervals * collocation > 80 or (tolerance < 1e-7 and intervals * collocation < 25):
@@ -277,33 +302,32 @@ def screened(folder, lanes, truth) -> list[tuple]:
         setting = (intervals, collocation, tolerance, first, longest)
         found, seconds, _ = auto_lanes(folder, auto_constants(*setting), some, 1)
         judged = chambers.judge(found, truth)
-        counts = judged["counts"]
-        if not counts["missing_folds"] + counts["false_folds"]:
-            right.append((seconds, judged["error"], setting))
-    return sorted(right)
+        if is_right(judged, BOUNDS[0]):
+            right.append((seconds, judged, setting))
+    return sorted(right, key=lambda row: row[0])
+
+
+def auto_settings(folder, lanes, truth) -> list[tuple]:
+    """The quickest setting that is right on all lanes, for each bound of the error."""
+    candidates, chosen = screened(folder, lanes, truth), []
+    print(f"AUTO-07p: {len(candidates)} settings were right on some lanes", file=sys.stderr)
+    for bound in BOUNDS:
+        able = [row[2] for row in candidates if is_right(row[1], bound)][:_FINALISTS]
+        timed = []
+        for setting in able:
+            found, seconds, _ = auto_lanes(folder, auto_constants(*setting), lanes, 2)
+            if is_right(chambers.judge(found, truth), bound):
+                timed.append((seconds, setting))
+        if timed and min(timed)[1] not in chosen:
+            chosen.append(min(timed)[1])
+    return chosen
 
 
 def auto_entries(lanes, quick, truth, folder):
-    """AUTO's rows, measured as they are found: the quickest right setting for each bound of the error."""
-    if quick:
-        chosen = [(10, 4, 1e-6, 0.1, 0.4)]
-    else:
-        candidates, chosen = screened(folder, lanes, truth), []
-        for bound in BOUNDS:
-            for _, error, setting in candidates:
-                if error > bound:
-                    continue
-                if setting in chosen:
-                    break
-                found, _, _ = auto_lanes(folder, auto_constants(*setting), lanes, 1)
-                judged = chambers.judge(found, truth)
-                counts = judged["counts"]
-                if judged["error"] <= bound and not counts["missing_folds"] + counts["false_folds"]:
-                    chosen.append(setting)
-                    break
-        print(f"AUTO-07p: {len(candidates)} settings found the folds of some lanes", file=sys.stderr)
-        if (10, 4, 1e-8, 1e-3, 1.0) not in chosen:  # the one of `peers.py`
-            chosen.append((10, 4, 1e-8, 1e-3, 1.0))
+    """AUTO's rows, and beside them the setting that `peers.py` compares with."""
+    chosen = [(10, 4, 1e-6, 0.1, 0.4)] if quick else auto_settings(folder, lanes, truth)
+    if not quick and (10, 4, 1e-8, 1e-3, 1.0) not in chosen:
+        chosen.append((10, 4, 1e-8, 1e-3, 1.0))
     names = ("NTST", "NCOL", "EPS", "DS", "DSMAX")
     for setting in chosen:
         yield Entry(
@@ -399,10 +423,7 @@ def main() -> int:
 def best_of_auto(records: list[dict]) -> dict | None:
     """AUTO's quickest row with every fold right to the allowed error and no false one."""
 
-    def right(r):
-        return r["error"] <= ALLOWED and not r["counts"]["missing_folds"] + r["counts"]["false_folds"]
-
-    rows = [r for r in records if r["engine"] == "auto" and right(r)]
+    rows = [r for r in records if r["engine"] == "auto" and is_right(r, ALLOWED)]
     return min(rows, key=lambda r: r["seconds_per_diagram"], default=None)
 
 

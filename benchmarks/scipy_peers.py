@@ -65,24 +65,42 @@ class Gas:
         self.chamber = chamber
         self.amount = (START[1] + chambers.ATMOSPHERE) * (chambers.INITIAL_VOLUME + chamber)
 
-    def defect(self, p, v):
-        return p + chambers.ATMOSPHERE - self.amount / (v + self.chamber)
+    def defect(self, x, v):
+        return x[1] + chambers.ATMOSPHERE - self.amount / (v + self.chamber)
+
+    def slopes(self, v):
+        """By x, and by V."""
+        return np.array([0.0, 1.0, 0.0]), self.amount / (v + self.chamber) ** 2
+
+
+class Voltage:
+    """A voltage that is held."""
+
+    def __init__(self, voltage: float):
+        self.load = voltage**2
+
+    def defect(self, x, v):
+        return x[2] - self.load
+
+    def slopes(self, v):
+        """By x, and by V."""
+        return np.array([0.0, 0.0, 1.0]), 0.0
 
 
 class Shooting:
-    """Newton on the rim's stretch and the gas law by shots with DOP853.
+    """Newton on the rim's stretch and the loading's condition by shots with DOP853.
 
     The shot carries two neighbours, moved in λa and in q, on the same steps: differences of these are the Jacobian. That of
     p is free: a scaling of R changes p alone.
     """
 
-    def __init__(self, chamber: float, tolerance: float):
-        self.gas, self.tolerance = Gas(chamber), tolerance
-        self.shots = 0
+    def __init__(self, condition: Gas | Voltage, tolerance: float):
+        self.condition, self.tolerance = condition, tolerance
+        self.solves = 0
 
     def shoot(self, x):
-        """Defects of rim and gas, their Jacobian, and V."""
-        self.shots += 1
+        """Defects of rim and condition, their Jacobian, V, and its derivatives at free (λa, p, q)."""
+        self.solves += 1
         moves = np.array([[0, 0, 0], [1e-6 * x[0], 0, 0], [0, 0, 1e-7]])
         lanes = [tuple(x + m) for m in moves]
 
@@ -106,50 +124,44 @@ class Shooting:
         by_p = np.array([rate[0], 0, 0, rate[3] - 3 * end[0, 3]]) / x[1]
         columns = np.stack([by_apex, by_p, by_q], axis=1)
         v = end[0, 3]
-        push = self.gas.amount / (v + self.gas.chamber) ** 2
-        jacobian = np.stack([columns[0], push * columns[3] + [0, 1, 0]])
-        return np.array([end[0, 0] - 1.0, self.gas.defect(x[1], v)]), jacobian, v
+        by_x, by_v = self.condition.slopes(v)
+        jacobian = np.stack([columns[0], by_v * columns[3] + by_x])
+        return np.array([end[0, 0] - 1.0, self.condition.defect(x, v)]), jacobian, v, columns[3]
 
     def point(self, guess, normal, near=None):
         """x, V on the plane through `guess`; the unit tangent, scaled."""
         x = guess.copy()
         for _ in range(8):
-            value, jacobian, v = self.shoot(x)
+            value, jacobian, v, volume_slopes = self.shoot(x)
             bordered = np.vstack([jacobian * SCALE, normal])
             step = -np.linalg.solve(bordered, [*value, normal @ ((x - guess) / SCALE)])
             x = x + SCALE * step
             if (size := np.abs(step).max()) < max(3e-5, math.sqrt(self.tolerance) / 10):
                 # Newton is quadratic: what is left is about the square
-                v = v + self._volume_move(jacobian, step, v)
                 tangent = np.linalg.solve(bordered, [0.0, 0.0, 1.0])
-                return Point(x, v, tangent / np.linalg.norm(tangent))
+                return Point(x, v + volume_slopes @ (SCALE * step), tangent / np.linalg.norm(tangent))
             if not size < 2:
                 break
         raise ArithmeticError("Newton did not converge")
-
-    def _volume_move(self, jacobian, step, v):
-        """The change of V along a step that meets the gas law."""
-        push = self.gas.amount / (v + self.gas.chamber) ** 2
-        return ((jacobian[1] - [0, 1, 0]) * SCALE) @ step / push
 
 
 class Collocation:
     """`solve_bvp` with λa, p, q as its unknown parameters."""
 
-    def __init__(self, chamber: float, tolerance: float):
-        self.gas, self.tolerance = Gas(chamber), tolerance
-        self.shots = 0
+    def __init__(self, condition: Gas | Voltage, tolerance: float):
+        self.condition, self.tolerance = condition, tolerance
+        self.solves = 0
 
     def point(self, guess, normal, near=None):
         """x and V on the plane through `guess`, the mesh from the point `near`; no tangent."""
-        self.shots += 1
+        self.solves += 1
 
         def rates(radius, y, x):
             return np.stack(slopes(radius, *y[:3], x[1], x[2], np.sin, np.cos))
 
         def conditions(y0, y1, x):
             on_plane = normal @ ((x - guess) / SCALE)
-            return np.array([*(y0 - series(x)), y1[0] - 1.0, self.gas.defect(x[1], y1[3]), on_plane])
+            return np.array([*(y0 - series(x)), y1[0] - 1.0, self.condition.defect(x, y1[3]), on_plane])
 
         mesh, y = near.solution if near is not None else self._first()
         with np.errstate(all="ignore"):
@@ -182,19 +194,24 @@ class Point:
         return float(self.x[2])
 
     @property
+    def pressure(self) -> float:
+        return float(self.x[1])
+
+    @property
     def excess(self) -> float:
         """Positive beyond breakdown."""
         return float(self.x[2] - chambers.breakdown_load(self.x[0]))
 
 
-def follow(solver, natural: bool, largest: float, stop: Callable[[list[Point]], bool]) -> list[Point]:
-    """Points of the branch from the filling on until `stop` of the points."""
+def follow(solver, first, natural: bool, largest: float, stop: Callable[[list[Point]], bool]) -> list[Point]:
+    """Points of the branch from the filling on, first in the direction `first`, until `stop` of the points."""
     across = np.array([1.0, 0.0, 0.0])
-    points = [solver.point(START.copy(), np.array([0.0, 0.0, 1.0]))]
+    # the variable that the condition leaves free
+    points = [solver.point(START.copy(), np.eye(3)[np.argmax(first)])]
     step = 0.05
     while not stop(points) and len(points) < 1000:
         here = points[-1]
-        ahead = _direction(points, step, across if natural else None)
+        ahead = _direction(points, step, first, across if natural else None)
         try:
             found = solver.point(
                 here.x + step * ahead * SCALE, across if natural else ahead / np.linalg.norm(ahead), here
@@ -214,12 +231,12 @@ def follow(solver, natural: bool, largest: float, stop: Callable[[list[Point]], 
     return points
 
 
-def _direction(points, step, across):
+def _direction(points, step, first, across):
     """The scaled tangent of the last point, or the chord's on a parabola; of unit λa where steps are natural."""
     last = points[-1]
     if last.tangent is not None:
         ahead = last.tangent
-        back = (last.x - points[-2].x) / SCALE if len(points) > 1 else np.array([0.0, 0.0, 1.0])
+        back = (last.x - points[-2].x) / SCALE if len(points) > 1 else first
         ahead = ahead if ahead @ back > 0 else -ahead
     elif len(points) > 1:
         ways = [(b.x - a.x) / SCALE for a, b in itertools.pairwise(points[-3:])]
@@ -230,8 +247,7 @@ def _direction(points, step, across):
             ahead = ahead + bend * (sizes[1] + min(step, 2 * sizes[1]))
             ahead = ahead / np.linalg.norm(ahead)
     else:
-        ahead = np.array([0.25, 0.0, 1.0])
-        ahead = ahead / np.linalg.norm(ahead)
+        ahead = first / np.linalg.norm(first)
     return ahead if across is None else ahead / (ahead @ across)
 
 
@@ -249,19 +265,19 @@ def between(solver, a: Point, b: Point, natural: bool):
     return lambda share: solver.point(a.x + share * (b.x - a.x), normal, b)
 
 
-def fold(solver, a: Point, b: Point, natural: bool) -> tuple[float, float]:
-    """q and V of the extreme of q between two points, by the polynomials through Chebyshev nodes."""
+def extreme(solver, a: Point, b: Point, natural: bool, field: Callable) -> tuple[float, float]:
+    """The extreme of a field between two points, and V there, by the polynomials through Chebyshev nodes."""
     along = between(solver, a, b, natural)
     nodes = np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES)
     found = [along((1 + node) / 2) for node in nodes]
-    q, v = (np.polynomial.Chebyshev.fit(nodes, [f(p) for p in found], _NODES - 1, domain=[-1, 1]) for f in _FIELDS)
-    roots = q.deriv().roots()
+    fields = [[field(p) for p in found], [p.volume for p in found]]
+    value, v = (np.polynomial.Chebyshev.fit(nodes, f, _NODES - 1, domain=[-1, 1]) for f in fields)
+    roots = value.deriv().roots()
     real = roots.real[(np.abs(roots.imag) < 1e-9) & (np.abs(roots.real) <= 1)]
-    place = real[np.argmax(np.abs(q(real)))] if len(real) > 1 else real[0]
-    return float(q(place)), float(v(place))
-
-
-_FIELDS = (lambda p: p.q, lambda p: p.volume)
+    if not len(real):
+        raise ArithmeticError("the extreme was lost")
+    place = real[np.argmin(np.abs(real))]
+    return float(value(place)), float(v(place))
 
 
 def crossing(solver, a: Point, b: Point, natural: bool, value: Callable[[Point], float]) -> Point:
@@ -279,37 +295,50 @@ def crossing(solver, a: Point, b: Point, natural: bool, value: Callable[[Point],
     return ends[root]
 
 
+def peaks(values: list[float]) -> list[int]:
+    """Where a list of numbers turns."""
+    return [i for i in range(1, len(values) - 1) if (values[i] - values[i - 1]) * (values[i + 1] - values[i]) < 0]
+
+
 def diagram(solver, natural: bool, largest: float = 0.4) -> tuple[chambers.Found, dict]:
     """The special points of a chamber, and counts of the work."""
 
-    def peaks(points):
-        q = [p.q for p in points]
-        return [i for i in range(1, len(q) - 1) if (q[i] - q[i - 1]) * (q[i + 1] - q[i]) < 0]
+    def load(point):
+        return point.q
 
     def stop(points):
         if points[-1].excess < 0:
             return points[-1].x[0] > 10.5
         # past breakdown: on to the landing of the snap, if there is one
-        turns = peaks(points)
-        return not turns or points[-1].q > max(points[i].q for i in turns) or points[-1].x[0] > 10.2
+        q = [p.q for p in points]
+        turns = peaks(q)
+        return not turns or q[-1] > max(q[i] for i in turns) or points[-1].x[0] > 10.2
 
-    points = follow(solver, natural, largest, stop)
+    points = follow(solver, np.array([0.25, 0.0, 1.0]), natural, largest, stop)
     signs = np.sign([p.excess for p in points])
     over = int(np.argmax(signs > 0)) if (signs > 0).any() else None
     last = over if over is not None else len(points) - 1
-    turns = [i for i in peaks(points) if i <= last]
-    folds = [fold(solver, points[i - 1], points[i + 1], natural) for i in turns]
+    turns = [i for i in peaks([p.q for p in points]) if i <= last]
+    folds = [extreme(solver, points[i - 1], points[i + 1], natural, load) for i in turns]
     broken = crossing(solver, points[over - 1], points[over], natural, lambda p: p.excess) if over else None
     zeros = []
     for a, b in itertools.pairwise(points[1 : last + 1]):
         if a.q * b.q < 0:
-            zeros.append(crossing(solver, a, b, natural, lambda p: p.q).volume)
+            zeros.append(crossing(solver, a, b, natural, load).volume)
     landing = chambers.NAN
     if folds:
         snap = folds[0][0]
-        for a, b in zip(points[turns[0] + 1 :], points[turns[0] + 2 :], strict=False):
+        for a, b in itertools.pairwise(points[turns[0] + 1 :]):
             if a.q < snap <= b.q:
                 landing = crossing(solver, a, b, natural, lambda p: p.q - snap).volume
                 break
     found = chambers.Found(folds, zeros, broken.q if broken else chambers.NAN, landing)
-    return found, {"points": len(points), "solves": solver.shots}
+    return found, {"points": len(points), "solves": solver.solves}
+
+
+def pressure_volume(solver, natural: bool, volume: float, largest: float = 0.6) -> tuple[list[float], dict]:
+    """The pressures of the folds of a p–V curve from V = 2.42 to `volume`, and counts of the work."""
+    points = follow(solver, np.array([1.0, 0.0, 0.0]), natural, largest, lambda points: points[-1].volume > volume)
+    turns = peaks([p.pressure for p in points])
+    folds = [extreme(solver, points[i - 1], points[i + 1], natural, lambda p: p.pressure)[0] for i in turns]
+    return folds, {"points": len(points), "solves": solver.solves}
