@@ -238,8 +238,10 @@ def shooting_entries(lanes, quick):
 
 
 def solve_bvp_entries(lanes, quick):
-    settings = [(1e-5, True)] if quick else list(itertools.product((1e-4, 1e-6, 1e-8), (True, False)))
-    return scipy_entries(scipy_peers.Collocation, settings, lanes, 1 if quick else 5)
+    # at 1e-8 it asks for more than 20 000 nodes
+    slow = [(1e-4, False), (1e-6, False)]
+    settings = [(1e-5, True)] if quick else [(1e-4, True), (1e-5, True), (1e-6, True), *slow]
+    return scipy_entries(scipy_peers.Collocation, settings, lanes, 1 if quick else 4)
 
 
 def jaxcont_entries(lanes, quick):

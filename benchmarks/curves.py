@@ -104,7 +104,7 @@ def auto_records(rounds: int, quick: bool) -> list[dict]:
 def scipy_records(quick: bool) -> list[dict]:
     out = []
     shooting = (scipy_peers.Shooting, "SciPy DOP853 shooting", (1e-6,) if quick else (1e-6, 1e-8, 1e-10, 1e-12))
-    collocation = (scipy_peers.Collocation, "SciPy solve_bvp", (1e-4,) if quick else (1e-4, 1e-6, 1e-8))
+    collocation = (scipy_peers.Collocation, "SciPy solve_bvp", (1e-4,) if quick else (1e-4, 1e-5, 1e-6))
     for solver, engine, tolerances in (shooting, collocation):
         for tolerance in tolerances:
 

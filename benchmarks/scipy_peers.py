@@ -16,8 +16,8 @@ from scipy.integrate import solve_bvp, solve_ivp
 from scipy.optimize import brentq
 
 SCALE = np.array([1.0, 0.2, 4e-3])  # of λa, p, q: units in which arclength is measured
-START = np.array([1.95822343926, 1.886612680245, 0.0])  # V = 2.42 at zero voltage
-_FIRST = 1e-3  # R of the apex series
+START = np.array([1.958223439255927, 1.8866126802449, 0.0])  # V = 2.42 at zero voltage
+FIRST = 2e-4  # R of the apex series; what it leaves is below 1e-13
 _NODES = 9  # through which the extreme at a fold is taken
 
 
@@ -35,14 +35,14 @@ def stresses(l1, l2, q):
 
 
 def series(x):
-    """λ2, θ, λ1, V at R = `_FIRST`."""
+    """λ2, θ, λ1, V at R = `FIRST`."""
     apex, p, q = x
     s, _, s11, s12 = stresses(apex, apex, q)
     kappa = p * apex**2 / (2 * s)
     b = -(s + apex * (3 * s11 - s12)) * kappa**2 / (16 * s11)
-    l2, l1 = apex + b * _FIRST**2, apex + (3 * b + apex * kappa**2 / 2) * _FIRST**2
-    theta = math.asin(p * l2 * l2 * _FIRST / (2 * stresses(l1, l2, q)[0]))
-    return [l2, theta, l1, math.pi / 4 * apex**3 * kappa * _FIRST**4]
+    l2, l1 = apex + b * FIRST**2, apex + (3 * b + apex * kappa**2 / 2) * FIRST**2
+    theta = math.asin(p * l2 * l2 * FIRST / (2 * stresses(l1, l2, q)[0]))
+    return [l2, theta, l1, math.pi / 4 * apex**3 * kappa * FIRST**4]
 
 
 def slopes(radius, l2, theta, l1, p, q, sin=math.sin, cos=math.cos):
@@ -114,7 +114,7 @@ class Shooting:
         start = np.concatenate([series(lane) for lane in lanes])
         with np.errstate(all="ignore"):
             done = solve_ivp(
-                rates, (_FIRST, 1.0), start, method="DOP853", rtol=self.tolerance, atol=1e-3 * self.tolerance
+                rates, (FIRST, 1.0), start, method="DOP853", rtol=self.tolerance, atol=1e-3 * self.tolerance
             )
         if not done.success:
             raise ArithmeticError(done.message)
@@ -146,7 +146,7 @@ class Shooting:
 
 
 class Collocation:
-    """`solve_bvp` with λa, p, q as its unknown parameters."""
+    """`solve_bvp` with λa, p, q as its unknown parameters, over log R: over R the division by R spoils its residuals."""
 
     def __init__(self, condition: Gas | Voltage, tolerance: float):
         self.condition, self.tolerance = condition, tolerance
@@ -156,8 +156,9 @@ class Collocation:
         """x and V on the plane through `guess`, the mesh from the point `near`; no tangent."""
         self.solves += 1
 
-        def rates(radius, y, x):
-            return np.stack(slopes(radius, *y[:3], x[1], x[2], np.sin, np.cos))
+        def rates(log, y, x):
+            radius = np.exp(log)
+            return radius * np.stack(slopes(radius, *y[:3], x[1], x[2], np.sin, np.cos))
 
         def conditions(y0, y1, x):
             on_plane = normal @ ((x - guess) / SCALE)
@@ -171,13 +172,13 @@ class Collocation:
         return Point(done.p, done.y[3, -1], None, (done.x, done.y))
 
     def _first(self):
-        mesh = np.concatenate([np.geomspace(_FIRST, 0.1, 8)[:-1], np.linspace(0.1, 1.0, 12)])
+        mesh = np.concatenate([np.geomspace(FIRST, 0.1, 12)[:-1], np.linspace(0.1, 1.0, 12)])
 
         def rates(radius, y):
             return slopes(radius, *y[:3], START[1], START[2])
 
-        y = solve_ivp(rates, (_FIRST, 1.0), series(START), method="DOP853", rtol=1e-8, atol=1e-12, t_eval=mesh).y
-        return mesh, y
+        y = solve_ivp(rates, (FIRST, 1.0), series(START), method="DOP853", rtol=1e-8, atol=1e-12, t_eval=mesh).y
+        return np.log(mesh), y
 
 
 @dataclasses.dataclass

@@ -166,7 +166,9 @@ def scipy_shot(method: str, tolerance: float, states, count: int):
             return scipy_peers.slopes(radius, *y[:3].tolist(), x[1], x[2])
 
         first = scipy_peers.series(x)
-        return solve_ivp(rates, (1e-3, 1.0), first, method=method, rtol=tolerance, atol=1e-3 * tolerance).y[:, -1]
+        return solve_ivp(
+            rates, (scipy_peers.FIRST, 1.0), first, method=method, rtol=tolerance, atol=1e-3 * tolerance
+        ).y[:, -1]
 
     ends = np.array([one(k) for k in range(count)])
     return ends[:, 0] - states.apex[:count], ends[:, 3]
@@ -260,6 +262,8 @@ def scipy_map(apex, q, tolerance):
 
     at_rim.terminal = True
     start = scipy_peers.series((apex, 1.0, q))
-    done = solve_ivp(rates, (1e-3, 50.0), start, method="DOP853", rtol=tolerance, atol=1e-3 * tolerance, events=at_rim)
+    done = solve_ivp(
+        rates, (scipy_peers.FIRST, 50.0), start, method="DOP853", rtol=tolerance, atol=1e-3 * tolerance, events=at_rim
+    )
     radius = done.t_events[0][0]
     return radius, done.y_events[0][0][3] / radius**3

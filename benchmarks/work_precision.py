@@ -12,17 +12,17 @@ import json
 import pathlib
 import sys
 
-import jax
-
-jax.config.update("jax_enable_x64", True)
-
 import curves
+import jax
 import matplotlib as mpl
+import matplotlib.pyplot as plt
 import shots
 from records import machine, write
 
+import dielectric_jax as dj
+
+jax.config.update("jax_enable_x64", True)
 mpl.use("Agg")
-import matplotlib.pyplot as plt
 
 DOCS = pathlib.Path(__file__).parent.parent / "docs"
 # the palette of Okabe and Ito, which colour-blind readers can tell apart; a marker of its own for each line
@@ -154,6 +154,8 @@ def main() -> int:
     parser.add_argument("--output", type=pathlib.Path, default=DOCS, help="folder of table and figures")
     parser.add_argument("--quick", action="store_true", help="few states and settings")
     options = parser.parse_args()
+    if options.quick:
+        dj.enable_compilation_cache()
     if options.draw:
         document = json.loads(pathlib.Path(options.records).read_text())
     else:
