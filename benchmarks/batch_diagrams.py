@@ -41,7 +41,7 @@ jax.config.update("jax_enable_x64", True)
 
 ALLOWED = 1e-8  # error of AUTO's fold voltages in the comparison
 BOUNDS = (1e-6, ALLOWED, 1e-10, 1e-12)
-_FINALISTS = 4  # settings of AUTO a bound that run on all lanes
+_FINALISTS = 3  # settings of AUTO a bound that run on all lanes
 MEMBRANE = dj.Membrane(material=dj.Gent(chambers.STRETCH_LIMIT))
 
 
@@ -159,7 +159,7 @@ def of_ramps(lanes: list[float], ramps: dj.Ramps) -> dict[float, Found]:
 def surface_entries(lanes, quick):
     for tolerance in (1e-7,) if quick else (1e-5, 1e-7, 1e-9):
         begin = time.perf_counter()
-        surface = dj.Surface.build(MEMBRANE, tolerance=tolerance, cache=False)
+        surface = dj.Surface.build(MEMBRANE, tolerance=tolerance, cache=quick)
         build = time.perf_counter() - begin
 
         def run(surface=surface):
@@ -296,10 +296,10 @@ def screened(folder, lanes, truth) -> list[tuple]:
     hard = [lanes[k] for k in sorted({k + d for k in (bare[0], bare[-1]) for d in (-2, -1, 0, 1, 2)})] if bare else []
     some = sorted({*chambers.spread(lanes, 8), *hard})
     right = []
-    steps = ((1e-3, 1.0), (0.1, 1.0), (0.1, 0.6), (0.1, 0.4), (0.1, 0.2))
-    for setting in itertools.product((4, 5, 6, 8, 10, 20), (4, 5, 6), (1e-4, 1e-5, 1e-6, 1e-8, 1e-10), steps):
+    steps = ((1e-3, 1.0), (0.1, 1.0), (0.1, 0.6), (0.1, 0.4))
+    for setting in itertools.product((4, 5, 6, 8, 10, 20), (4, 5), (1e-4, 1e-5, 1e-6, 1e-8), steps):
         intervals, collocation, tolerance, (first, longest) = setting
-        if intervals * collocation > 80 or (tolerance < 1e-7 and intervals * collocation < 25):
+        if intervals * collocation > 80 or (tolerance < 1e-7 and intervals * collocation < 40):
             continue
         setting = (intervals, collocation, tolerance, first, longest)
         found, seconds, _ = auto_lanes(folder, auto_constants(*setting), some, 1)
@@ -317,7 +317,7 @@ def auto_settings(folder, lanes, truth) -> list[tuple]:
         able = [row[2] for row in candidates if is_right(row[1], bound)][:_FINALISTS]
         timed = []
         for setting in able:
-            found, seconds, _ = auto_lanes(folder, auto_constants(*setting), lanes, 2)
+            found, seconds, _ = auto_lanes(folder, auto_constants(*setting), lanes, 1)
             if is_right(chambers.judge(found, truth), bound):
                 timed.append((seconds, setting))
         if timed and min(timed)[1] not in chosen:
@@ -336,7 +336,7 @@ def auto_entries(lanes, quick, truth, folder):
             "auto",
             dict(zip(names, setting, strict=True)) | {"threads": auto_peer.threads()},
             lanes,
-            lambda setting=setting: auto_lanes(folder, auto_constants(*setting), lanes, 1 if quick else 5),
+            lambda setting=setting: auto_lanes(folder, auto_constants(*setting), lanes, 1 if quick else 3),
             rounds=0,
         )
 

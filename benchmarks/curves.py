@@ -67,13 +67,13 @@ def ours(engine: str, parameters: dict, rounds: int, **options) -> dict:
 def records(quick: bool) -> list[dict]:
     rounds = 1 if quick else 5
     out = [
-        ours("continuation", {"tolerance": tolerance}, rounds, tolerance=tolerance)
+        ours("dielectric_jax, continuation", {"tolerance": tolerance}, rounds, tolerance=tolerance)
         for tolerance in ((1e-9,) if quick else (1e-4, 1e-6, 1e-8, 1e-10, 1e-12))
     ]
     for tolerance in () if quick else (1e-5, 1e-7, 1e-9):
         surface = dj.Surface.build(dj.Membrane(material=dj.Gent(chambers.STRETCH_LIMIT)), tolerance=tolerance)
         for certify in (True, False):
-            engine = "surface, certified" if certify else "surface alone"
+            engine = f"dielectric_jax, surface {'certified' if certify else 'alone'}"
             options = {"surface": surface, "certify": certify, "extend": certify}
             out.append(ours(engine, {"tolerance": tolerance}, rounds, tolerance=max(tolerance, 1e-9), **options))
     out += auto_records(rounds, quick) + scipy_records(quick)

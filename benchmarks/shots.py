@@ -179,7 +179,7 @@ def shot_records(quick: bool) -> list[dict]:
     rounds = 1 if quick else 5
     out = records_of(
         "shot",
-        "ours",
+        "dielectric_jax",
         "steps",
         (16, 32) if quick else (8, 12, 16, 24, 32, 48, 64, 96),
         own_shot,
@@ -226,7 +226,7 @@ def map_records(quick: bool) -> list[dict]:
         return dj.explicit_map(MATERIAL, apex, q, 1.0, steps)[:2]
 
     steps = (16, 32) if quick else (8, 12, 16, 24, 32, 48, 64, 96)
-    out = records_of("map", "explicit map", "steps", steps, own, states, states.map_error, rounds)
+    out = records_of("map", "dielectric_jax, explicit map", "steps", steps, own, states, states.map_error, rounds)
     for tolerance in () if quick else (1e-5, 1e-7, 1e-9):
         surface = dj.Surface.build(dj.Membrane(MATERIAL), tolerance=tolerance)
 
@@ -234,7 +234,9 @@ def map_records(quick: bool) -> list[dict]:
             state = surface(lanes[0], lanes[2])
             return state.pressure, state.volume
 
-        out += records_of("map", "surface", "tolerance", (tolerance,), on_surface, states, states.map_error, rounds)
+        out += records_of(
+            "map", "dielectric_jax, surface", "tolerance", (tolerance,), on_surface, states, states.map_error, rounds
+        )
     for digits in (6,) if quick else (4, 6, 8, 10, 12):
         count = 4 if quick else 16
 

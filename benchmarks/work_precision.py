@@ -27,7 +27,7 @@ mpl.use("Agg")
 DOCS = pathlib.Path(__file__).parent.parent / "docs"
 # the palette of Okabe and Ito, which colour-blind readers can tell apart; a marker of its own for each line
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C6D31", "#666666", "#B22222")
-MARKERS = "osD^vP*X<>"
+MARKERS = "os^vDPX*<>pd"
 FLOOR = 1e-14  # of errors drawn on a logarithmic axis
 TITLES = {
     "shot": "One shot from apex to rim (state and volume)",
@@ -46,7 +46,8 @@ ERRORS = {
 def batch_records(path: pathlib.Path) -> list[dict]:
     """The records of `batch_diagrams.py` in the form of the others."""
     document = json.loads(path.read_text())
-    names = {"auto": "AUTO-07p", "scipy_shooting": "SciPy DOP853 shooting", "scipy_solve_bvp": "SciPy solve_bvp"}
+    names = {name: f"dielectric_jax, {name}" for name in ("continuation", "surface")}
+    names |= {"auto": "AUTO-07p", "scipy_shooting": "SciPy DOP853 shooting", "scipy_solve_bvp": "SciPy solve_bvp"}
     out = []
     for r in document["records"]:
         engine = names.get(r["engine"], r["engine"])
@@ -81,17 +82,28 @@ def panels(name: str, records: list[dict]) -> list[tuple[str, list[dict]]]:
     return [("one state alone", alone), (f"{size} states at once", batch)]
 
 
+def solver_of(engine: str) -> str:
+    """The engine without how it steps."""
+    for end in (", graded grid", ", PID controller", ", natural steps", ", arclength steps"):
+        engine = engine.removesuffix(end)
+    return engine
+
+
 def draw(name: str, records: list[dict], path: pathlib.Path) -> None:
     """One figure: error against time, a line an engine; hollow where folds or lanes are missing or wrong."""
     parts = panels(name, records)
     engines = list(dict.fromkeys(r["engine"] for r in records))
-    style = {e: (COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)]) for i, e in enumerate(engines)}
-    figure, axes = plt.subplots(1, len(parts), figsize=(12, 6.4), sharey=True, squeeze=False, layout="constrained")
+    # the two ways to step of one solver have one colour
+    solvers = list(dict.fromkeys(solver_of(e) for e in engines))
+    style = {e: (COLOURS[solvers.index(solver_of(e))], MARKERS[i % len(MARKERS)]) for i, e in enumerate(engines)}
+    figure, axes = plt.subplots(
+        1, len(parts), figsize=(12, 6.4), sharex=True, sharey=True, squeeze=False, layout="constrained"
+    )
     unit, factor = ("µs a state", 1e6) if name in ("shot", "map") else ("ms a diagram", 1e3)
     lines = {}
     for ax, (title, own) in zip(axes[0], parts, strict=True):
         for engine in engines:
-            rows = [r for r in own if r["engine"] == engine and r["error"] is not None and r["error"] < 1]
+            rows = [r for r in own if r["engine"] == engine and r["error"] and r["error"] < 1]
             if not rows:
                 continue
             colour, marker = style[engine]
