@@ -124,7 +124,7 @@ def draw(name: str, records: list[dict], path: pathlib.Path) -> None:
         ax.tick_params(labelsize=12)
         ax.xaxis.label.set_size(13)
     axes[0, 0].set_ylabel(ERRORS[name], fontsize=13)
-    figure.suptitle(TITLES[name], fontsize=15)
+    figure.suptitle(TITLES[name], fontsize=14, x=0.02, ha="left")
     if any(r.get("incomplete") for r in records):
         hollow = mpl.lines.Line2D([], [], color="0.3", marker="o", ms=8, mfc="white", ls="", mew=1.6)
         hollow.set_label("hollow: some lanes missing or wrong")
