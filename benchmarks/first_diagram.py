@@ -17,6 +17,12 @@ import time
 # fold voltage and breakdown voltage, from a spectral-element discretisation of the energy that shares no code
 FOLD, BREAKDOWN = 0.0764953595449, 0.100970094106
 LIMITS = {"empty cache": 15.0, "filled cache": 5.0, "warm": 0.3}
+STAGES = {
+    "trace": "/jax/core/compile/jaxpr_trace_duration",
+    "lower": "/jax/core/compile/jaxpr_to_mlir_module_duration",
+    "compile_or_load": "/jax/core/compile/backend_compile_duration",
+    "load": "/jax/compilation_cache/cache_retrieval_time_sec",
+}
 
 
 def calibrate() -> float:
@@ -38,13 +44,19 @@ def child(repeats: int) -> None:
     begin = time.perf_counter()
     import jax
 
+    jax_imported = time.perf_counter() - begin
     jax.config.update("jax_enable_x64", True)
     compiled = {"seconds": 0.0, "programs": 0}
+    # sums over the threads that work side by side; a trace inside another is counted in both
+    stages = dict.fromkeys(STAGES, 0.0)
 
     def listen(event, seconds, **_):
         if event == "/jax/core/compile/backend_compile_duration":
             compiled["seconds"] += seconds
             compiled["programs"] += 1
+        for stage, name in STAGES.items():
+            if event == name:
+                stages[stage] += seconds
 
     jax.monitoring.register_event_duration_secs_listener(listen)
     import dielectric_jax as dj
@@ -59,7 +71,7 @@ def child(repeats: int) -> None:
     begin = time.perf_counter()
     found = diagram()
     first = time.perf_counter() - begin
-    compiled_first = dict(compiled)
+    compiled_first, stages_first = dict(compiled), dict(stages)
     warm = []
     for _ in range(repeats):
         begin = time.perf_counter()
@@ -68,6 +80,8 @@ def child(repeats: int) -> None:
     ramp = {e.event: e.state.voltage for e in found.ramp().events}
     out = {
         "import_seconds": imported,
+        "import_jax_seconds": jax_imported,
+        "stages": stages_first,
         "first_call_seconds": first,
         "warm_seconds": min(warm),
         "warm_all_seconds": warm,

@@ -11,23 +11,18 @@ machine, not the seconds. The rows do not hold the same:
 - `chamber_ramps`: one chamber out of a batch, its branch through the start on 256 stretches as far as it is alone there, with
   its special points and the events of the ramp, up and down.
 
-AUTO is taken from the environment variable AUTO_DIR, else from an `auto` on the path; without it its rows are left out.
-`auto/membrane.f90` and `auto/c.chamber` are ours and are compiled by AUTO's own makefile. It gets one thread unless
-OMP_NUM_THREADS says otherwise.
+How AUTO is found and run is told in `auto_peer.py`; without it its rows are left out. Its settings here are those of a
+careful user; `batch_diagrams.py` seeks the quickest.
 
     AUTO_DIR=… python benchmarks/peers.py [--json FILE|-] [--quick]
 """
 
 import argparse
-import os
-import pathlib
-import re
-import shutil
-import subprocess
 import sys
 import tempfile
 import time
 
+import auto_peer
 import jax
 import numpy as np
 from first_diagram import BREAKDOWN, FOLD, calibrate
@@ -38,66 +33,21 @@ import dielectric_jax as dj
 jax.config.update("jax_enable_x64", True)
 
 ALLOWED = 1e-9
-EQUATIONS = pathlib.Path(__file__).parent / "auto"
 # mesh intervals, tolerance of Newton, longest step; the last draws its branch about as finely as ours
 SETTINGS = [(n, eps, 1.0) for n in (10, 20, 40, 80) for eps in (1e-8, 1e-11)] + [(20, 1e-8, 0.03)]
 
 
-def auto_directory() -> pathlib.Path | None:
-    """Where AUTO-07p is installed, None where it is not."""
-    found = os.environ.get("AUTO_DIR")
-    if not found and (command := shutil.which("auto")):
-        found = pathlib.Path(command).resolve().parent.parent
-    return pathlib.Path(found) if found and (pathlib.Path(found) / "cmds" / "cmds.make").exists() else None
-
-
-def compile_equations(auto: pathlib.Path, folder: str) -> str | None:
-    """Compiles the equations in `folder` by AUTO's makefile; what the compiler said where that fails."""
-    shutil.copy(EQUATIONS / "membrane.f90", folder)
-    makefile = auto.resolve() / "cmds" / "cmds.make"
-    try:
-        done = subprocess.run(
-            ["make", "-f", makefile, "EQUATION_NAME=membrane", "membrane.exe"],
-            cwd=folder,
-            env={**os.environ, "AUTO_DIR": str(auto.resolve())},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-    except FileNotFoundError:
-        return "there is no make"
-    return None if (pathlib.Path(folder) / "membrane.exe").exists() else done.stdout + done.stderr
-
-
 def run_auto(folder: str, intervals: int, tolerance: float, step: float) -> dict:
     """One continuation by AUTO: its seconds, and what stands in its file of the branch."""
-    constants = (EQUATIONS / "c.chamber").read_text()
-    constants += f"NTST={intervals}, EPSL={tolerance}, EPSU={tolerance}, DSMAX={step}\n"
-    (pathlib.Path(folder) / "fort.2").write_text(constants)
-    branch = pathlib.Path(folder) / "fort.7"
-    branch.unlink(missing_ok=True)
-    threads = {"OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "1")}
-    begin = time.perf_counter()
-    done = subprocess.run(
-        [pathlib.Path(folder) / "membrane.exe"],
-        cwd=folder,
-        env={**os.environ, **threads},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    process = time.perf_counter() - begin
-    printed = re.search(r"Total Time\s+(\S+)", done.stdout)
-    # columns: branch, point, type, label, q, ...; the header has branch 0
-    rows = [line.split() for line in branch.read_text().splitlines()] if branch.exists() else []
-    points = [(int(r[2]), float(r[4])) for r in rows if r[0] != "0"]
-    folds = [q for kind, q in points if kind == 5]
-    stops = [q for kind, q in points if kind == -4]
+    constants = f"NTST={intervals}, EPSL={tolerance}, EPSU={tolerance}, DSMAX={step}"
+    done = auto_peer.run(folder, "chamber", constants)
+    folds = [row[0] for row in done.of_type(auto_peer.FOLD)]
+    stops = [row[0] for row in done.of_type(auto_peer.STOP)]
     return {
         "holds": "branch to breakdown",
-        "seconds": float(printed[1]) if printed else float("nan"),
-        "process_seconds": process,
-        "points": len(points),
+        "seconds": done.seconds,
+        "process_seconds": done.process_seconds,
+        "points": len(done.points),
         "folds": len(folds),
         "snap": max([q for q in folds if q > 0], default=float("nan")) ** 0.5,
         "breakdown": stops[0] ** 0.5 if stops else float("nan"),
@@ -194,14 +144,10 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true", help="one round, 12 chambers, two settings of AUTO")
     options = parser.parse_args()
     ours, build = contestants(options.quick)
-    engines, said = {}, None
-    auto = auto_directory()
+    engines = {}
     with tempfile.TemporaryDirectory() as folder:
-        if auto is None:
-            said = "AUTO-07p: not installed"
-        elif error := compile_equations(auto, folder):
-            said = f"AUTO-07p: the equations were not compiled: {error}"
-        else:
+        said = auto_peer.prepare(folder)
+        if said is None:
             for setting in SETTINGS[:2] if options.quick else SETTINGS:
                 name = "AUTO-07p, NTST {}, EPS {:g}, DSMAX {:g}".format(*setting)
                 engines[name] = lambda setting=setting: run_auto(folder, *setting)
@@ -218,7 +164,7 @@ def main() -> int:
         "name": "peers",
         "parameters": {"chamber_volume": 1600.0, "initial_volume": 2.42, "stretch_limit": 270.0, "prestretch": 1.0},
         "auto": said or "AUTO-07p: installed",
-        "auto_threads": os.environ.get("OMP_NUM_THREADS", "1"),
+        "auto_threads": auto_peer.threads(),
         "auto_compared": best["engine"] if best else None,
         "surface_build_seconds": build,
         "calibration_seconds": calibration,

@@ -76,7 +76,7 @@ def _correct(end, rate, pressure, rise):
     return pressure * np.exp(shift), (end[3] + rate[3] * shift) * np.exp(-3 * shift), shift
 
 
-def _fixed_grid(apex, pressure, q, limit, rim, steps):
+def shoot_on_fixed_grid(apex, pressure, q, limit, rim, steps):
     """Half of the steps grow geometrically towards the apex's radius of curvature, half are even in asinh beyond it."""
     first, scale, y = _start(apex, pressure, q, limit)
     args = (apex, pressure, q, limit)
@@ -106,14 +106,14 @@ def exact(apex, pressure, q, limit, rim, steps=140):
     """
     lanes = [EXTENDED(np.asarray(v, float)) for v in np.broadcast_arrays(apex, pressure, q, limit, rim)]
     with np.errstate(all="ignore"):
-        p1, v1, shift = _fixed_grid(*lanes, steps // 2)
+        p1, v1, shift = shoot_on_fixed_grid(*lanes, steps // 2)
         lanes[1] = np.where(np.abs(shift) < 1e-2, p1, lanes[1])
-        p2, v2, shift = _fixed_grid(*lanes, steps)
+        p2, v2, shift = shoot_on_fixed_grid(*lanes, steps)
         again = ~(np.abs(shift) < 1e-8)
         if again.any():
             part = [v[again] for v in lanes]
             part[1] = np.where(np.abs(shift[again]) < 1e-1, p2[again], part[1])
-            p2[again], v2[again], shift[again] = _fixed_grid(*part, steps)
+            p2[again], v2[again], shift[again] = shoot_on_fixed_grid(*part, steps)
     uncertain = np.maximum(
         np.abs(p2 - p1) / np.maximum(np.abs(p2), 1e-3), np.abs(v2 - v1) / np.maximum(np.abs(v2), 1e-3)
     )

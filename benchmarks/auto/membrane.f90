@@ -1,9 +1,10 @@
 ! The dielectric elastomer membrane on a chamber of air (Li et al. 2013, doi 10.1016/j.jmps.2012.09.006) for AUTO-07p.
 !
 ! Unknowns U: hoop stretch l2 = r/R, slope theta, meridional stretch l1, volume inside R, and R itself, from START to 1
-! while AUTO's T runs from 0 to 1. Continuation in q = Phi**2; pressure and apex stretch are free with it. At START holds
-! the apex series, at the rim the prestretch and the gas of the chamber. Dimensionless: lengths in A, pressures in mu H/A,
-! volumes in A**3, q in H**2 mu/eps.
+! while AUTO's T runs from 0 to 1. At START holds the apex series, at the rim the prestretch. With seven conditions the
+! last is the gas of the chamber: continuation in q = Phi**2, pressure and apex stretch are free with it. With six there is
+! none: continuation in the pressure at fixed q, with the apex stretch free. Dimensionless: lengths in A, pressures in
+! mu H/A, volumes in A**3, q in H**2 mu/eps.
 
 MODULE MEMBRANE
   IMPLICIT NONE
@@ -122,7 +123,7 @@ SUBROUTINE BCND(NDIM, PAR, ICP, NBC, U0, U1, FB, IJAC, DBC)
   CALL SERIES(PAR, APEX_STATE)
   FB(1:5) = U0 - APEX_STATE
   FB(6) = U1(1) - PRESTRETCH
-  FB(7) = PAR(PRESSURE) + ATMOSPHERE &
+  IF (NBC == 7) FB(7) = PAR(PRESSURE) + ATMOSPHERE &
        - (PAR(FILLING_PRESSURE) + ATMOSPHERE)*(PAR(FILLING) + PAR(CHAMBER))/(U1(4) + PAR(CHAMBER))
 END SUBROUTINE BCND
 

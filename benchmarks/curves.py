@@ -1,0 +1,120 @@
+"""Work and precision of one pressure–volume diagram: at Φ = 0.05 through both folds to V = 450.
+
+Ours hold every branch of the window, with a scan for missed ones (not on a surface), special points, stability and error
+estimates; AUTO-07p and SciPy one branch from V = 2.42 with its folds. The error is the larger of those of the two fold
+pressures against `data/pressure_volume.csv`.
+"""
+
+import csv
+import itertools
+import sys
+import tempfile
+import time
+
+import auto_peer
+import chambers
+import numpy as np
+import scipy_peers
+
+import dielectric_jax as dj
+
+VOLTAGE, VOLUME = 0.05, 450.0
+
+
+def reference() -> list[float]:
+    """The pressures of peak and valley."""
+    with (chambers.DATA / "pressure_volume.csv").open() as file:
+        return [float(r["pressure"]) for r in csv.DictReader(file) if r["kind"] == f"fold at voltage {VOLTAGE:g}"]
+
+
+def error_of(folds: list[float]) -> float:
+    """The largest error of the pressures; infinite where there are not two."""
+    true = reference()
+    return max(abs(a - b) for a, b in zip(folds, true, strict=True)) if len(folds) == len(true) else float("inf")
+
+
+def timed(engine: str, parameters: dict, run, rounds: int) -> dict:
+    """The record of `run`, which returns pressures of folds, its own seconds or None, and counts."""
+    seconds = []
+    for _ in range(rounds + 1):
+        begin = time.perf_counter()
+        folds, told, counts = run()
+        seconds.append(told if told is not None else time.perf_counter() - begin)
+    best = min(seconds[1:])
+    return {
+        "name": "pressure_volume",
+        "engine": engine,
+        "parameters": parameters,
+        "error": error_of(folds),
+        "seconds": best,
+        "compile_seconds": max(0.0, seconds[0] - best),
+        "counts": counts | {"folds": len(folds)},
+    }
+
+
+def ours(engine: str, parameters: dict, rounds: int, **options) -> dict:
+    membrane = dj.Membrane(material=dj.Gent(chambers.STRETCH_LIMIT))
+
+    def run():
+        found = dj.pressure_volume(membrane, VOLTAGE, **options)
+        folds = sorted((p for p in found.special_points if p.kind == "fold"), key=lambda p: p.volume)
+        counts = {"points": sum(map(len, found.branches)), "branches": len(found.branches)}
+        return [p.pressure for p in folds if p.volume < VOLUME], None, counts
+
+    return timed(engine, parameters, run, rounds)
+
+
+def records(quick: bool) -> list[dict]:
+    rounds = 1 if quick else 5
+    out = [
+        ours("dielectric_jax, continuation", {"tolerance": tolerance}, rounds, tolerance=tolerance)
+        for tolerance in ((1e-9,) if quick else (1e-4, 1e-6, 1e-8, 1e-10, 1e-12))
+    ]
+    for tolerance in () if quick else (1e-5, 1e-7, 1e-9):
+        surface = dj.Surface.build(dj.Membrane(material=dj.Gent(chambers.STRETCH_LIMIT)), tolerance=tolerance)
+        for certify in (True, False):
+            engine = f"dielectric_jax, surface {'certified' if certify else 'alone'}"
+            options = {"surface": surface, "certify": certify, "extend": certify}
+            out.append(ours(engine, {"tolerance": tolerance}, rounds, tolerance=max(tolerance, 1e-9), **options))
+    out += auto_records(rounds, quick) + scipy_records(quick)
+    return out
+
+
+def auto_records(rounds: int, quick: bool) -> list[dict]:
+    out = []
+    with tempfile.TemporaryDirectory() as folder:
+        if said := auto_peer.prepare(folder):
+            print(said, file=sys.stderr)
+            return out
+        sizes = ((10, 4),) if quick else ((4, 4), (4, 5), (5, 5), (8, 5), (10, 6), (20, 4), (40, 4))
+        for (intervals, collocation), tolerance in itertools.product(sizes, (1e-6,) if quick else (1e-5, 1e-6, 1e-8)):
+            parameters = {"NTST": intervals, "NCOL": collocation, "EPS": tolerance, "DS": 0.1, "DSMAX": 1.0}
+            constants = ", ".join(f"{k}={v}" for k, v in parameters.items() if k != "EPS")
+            constants += f", EPSL={tolerance}, EPSU={tolerance}, PAR={{1: {VOLTAGE**2}}}"
+
+            def run(constants=constants):
+                done = auto_peer.run(folder, "pressure", constants)
+                folds = [row[0] for row in done.of_type(auto_peer.FOLD)]
+                return folds, done.seconds, {"points": len(done.points)}
+
+            out.append(timed("AUTO-07p", parameters | {"threads": auto_peer.threads()}, run, rounds))
+    return out
+
+
+def scipy_records(quick: bool) -> list[dict]:
+    out = []
+    shooting = (scipy_peers.Shooting, "SciPy DOP853 shooting", (1e-6,) if quick else (1e-6, 1e-8, 1e-10, 1e-12))
+    collocation = (scipy_peers.Collocation, "SciPy solve_bvp", (1e-4,) if quick else (1e-4, 1e-5, 1e-6))
+    for solver, engine, tolerances in (shooting, collocation):
+        for tolerance in tolerances:
+
+            def run(solver=solver, tolerance=tolerance):
+                try:
+                    own = solver(scipy_peers.Voltage(VOLTAGE), tolerance)
+                    return scipy_peers.pressure_volume(own, True, VOLUME)[0], None, {}
+                except (ArithmeticError, np.linalg.LinAlgError):
+                    return [], None, {}
+
+            parameters = {"tolerance": tolerance, "stepping": "natural"}
+            out.append(timed(engine, parameters, run, 1))
+    return out
