@@ -9,7 +9,7 @@ import numpy as np
 
 from .branches import find_curves
 from .contours import OnSurface
-from .critical import Located, brackets, fold_events, locate, special_points
+from .critical import Located, brackets, fold_events, loads_beside_folds, locate, special_points
 from .equilibria import Shooting
 from .loading import Chamber, ConstantPressure, ConstantVoltage, Contour
 from .materials import largest_load
@@ -165,8 +165,10 @@ class Solved:
             for i in brackets(curve, "load", voltage_squared)
         ]
         found, missed = locate(self.solver, self.curves, wanted, self.tolerance, certify=self.certify)
-        self.missed.extend(missed)
-        return found
+        beside = (self.solver, self.curves, self.located, "load", voltage_squared, self.tolerance)
+        more, lost = loads_beside_folds(*beside, certify=self.certify)
+        self.missed.extend(missed + lost)
+        return found + more
 
     def state(self, located: Located) -> State:
         """The record of a located state."""
