@@ -25,7 +25,9 @@ SCALE = np.array([1.0, 0.2, 0.02])  # of (λa, p, q)
 # needs more, and more again where the layer is thin
 LADDERS = ((16.0, 32.0, 64.0, 128.0), (24.0, 48.0, 96.0, 192.0, 320.0), (80.0, 160.0, 320.0))
 _REFINED = (48.0, 144.0, 240.0)  # steps of a refined tangent
-_NEAR_FOLD = 1e-3  # component of the tangent along the control below which a tangent is refined: the index turns on its sign
+_NEAR_FOLD = (
+    1e-3  # component of the tangent along the control below which a tangent is refined: the index turns on its sign
+)
 _CONTRACTION = (2e-4, 3e-3, 1e-3)  # of a chord step: the error of Newton's Jacobian, measured
 _TRIES = (9, 6, 9)  # of Newton
 _MOST_MOVE = 3e-9  # relative: height and charge are not moved along with the state

@@ -17,9 +17,14 @@ from .membrane import Membrane, require_float64
 from .records import State, voltage_of
 from .results import Code, SceneError, check_positive
 from .scene import Scene, Window
+from .shooting import MOST_STEPS
 from .surface import Surface
 
 __all__ = ["equilibrium", "filling", "flat_state", "states_of"]
+
+
+_MOST_ERROR = 1e-3  # the loosest tolerance: what is farther off is no state
+_CONE = 3e-4  # 1 − t up to which states are sought; folds towards the cone are a factor of 3.6 apart
 
 
 def check_request(points: int, tolerance: float) -> None:
@@ -135,10 +140,11 @@ def _filled_state(membrane: Membrane, quantity: str, wanted: float, tolerance: f
         return None
 
 
-def too_flat(membrane: Membrane, quantity: str, wanted: float) -> bool:
-    """Whether a pressure or volume belongs to a membrane nearer to flat than the first of the scan's stretches."""
-    _, pressure, volume = _zero_load_line(membrane)
-    return wanted < (pressure if quantity == "pressure" else volume)[0]
+def too_flat(membrane: Membrane, quantity: str, wanted: float, q: float = 0.0) -> bool:
+    """Whether a value belongs to a tense membrane nearer to flat than the first of the scan's stretches."""
+    apex, pressure, volume = _zero_load_line(membrane)
+    first = {"pressure": pressure, "volume": volume, "apex_stretch": apex}[quantity][0]
+    return bool(wanted < first and q <= float(largest_load(membrane.material, float(membrane.prestretch))))
 
 
 def _crossing_state(apex, pressure, value, prestretch: float, i: int) -> list:
@@ -173,7 +179,7 @@ def equilibrium(
 ) -> typing.Any:
     """The equilibrium at a voltage and one of pressure, volume or apex stretch: the one of smallest volume, stable or not.
 
-    With `all=True` a list of every one in the window, ordered by volume. The index is that of prescribed pressure. A
+    With `all=True` a list of every one in the window up to t = 0.9997, ordered by volume: beyond, folds go on without end. The index is that of prescribed pressure. A
     `surface` of the membrane gives the starts inside its domain, which shooting makes exact; the explicit map the others.
     Raises ValueError for bad input and SceneError where there is none.
 
@@ -208,6 +214,7 @@ def equilibrium(
     check_surface(surface, membrane)
     found = _starts(membrane, float(voltage) ** 2, name, wanted, limits, surface)
     states: list[State] = []
+    vague = False
     if found.size:
         rows = {"apex_stretch": [1.0, 0, 0], "pressure": [0, 1.0, 0], "volume": [np.nan] * 3}[name]
         lanes = found.shape[1]
@@ -215,17 +222,25 @@ def equilibrium(
             membrane, contour, found, np.tile(rows, (lanes, 1)), np.full(lanes, wanted), tolerance=tolerance, reach=1.0
         )
         for state in states_of(result.take(np.flatnonzero(result.ok)), tolerance):
-            if not any(abs(state.apex_stretch / other.apex_stretch - 1) < 1e-9 for other in states):
+            if not state.error_estimate <= _MOST_ERROR:
+                vague = True
+            elif not any(_same(state, other) for other in states):
                 states.append(state)
     if not states:
         if name == "volume" and wanted > (most := _reach(membrane, "volume")):
             raise ValueError(
                 f"`volume` must lie between 0 and {most:.6g}, what the membrane reaches up to its lock-up, but is {wanted!r}."
             )
-        flat = name != "apex_stretch" and too_flat(membrane, name, wanted)
-        raise SceneError(Code.near_flat if flat else Code.no_equilibrium)
+        flat = too_flat(membrane, name, wanted, float(voltage) ** 2)
+        raise SceneError(Code.near_flat if flat else Code.beyond_tolerance if vague else Code.no_equilibrium)
     states.sort(key=lambda s: s.volume)
     return states if all else states[0]
+
+
+def _same(one: State, other: State) -> bool:
+    """Whether two starts have met one state: beside a fold λa is the vaguer, but there the indices of two differ."""
+    near = abs(one.apex_stretch / other.apex_stretch - 1)
+    return near < 1e-9 or (near < 1e-6 and one.index == other.index)
 
 
 def _flat_equilibrium(membrane: Membrane, voltage: float, every: bool):
@@ -247,8 +262,26 @@ def _line_states(membrane: Membrane, apex, fraction, surface: Surface | None):
     rest = ~np.isfinite(values).all(axis=0)
     if rest.any():
         rim = float(membrane.prestretch)
-        values[:, rest] = map_nodes(membrane.material, apex[rest], fraction[rest], rim, 96.0)
+        for which, steps in ((rest & (fraction <= 0.9), 96.0), (rest & (fraction > 0.9), float(MOST_STEPS))):
+            if which.any():
+                values[:, which] = map_nodes(membrane.material, apex[which], fraction[which], rim, steps)
     return values
+
+
+def _towards_cones(membrane, q: float, apex: np.ndarray) -> np.ndarray:
+    """The stretches with more of them, geometrically closer, towards those at which q is q_max(λa)."""
+
+    def excess(stretch):
+        return q / np.asarray(largest_load(membrane.material, stretch)) - 1
+
+    over = excess(apex) >= 0
+    more = [apex]
+    for i in np.flatnonzero(over[:-1] != over[1:]):
+        cone = root_scalar(excess, bracket=(apex[i], apex[i + 1]), xtol=1e-15).root
+        side = -1 if over[i + 1] else 1
+        reach = apex[np.clip(i + 12 * side, 0, len(apex) - 1)] - cone
+        more.append(cone + reach * np.geomspace(1.0, 1e-6, 160))
+    return np.unique(np.concatenate(more))
 
 
 def _starts(membrane, q, name, wanted, limits, surface=None) -> np.ndarray:
@@ -259,8 +292,9 @@ def _starts(membrane, q, name, wanted, limits, surface=None) -> np.ndarray:
     apex = np.minimum(prestretch + (high - prestretch) * share, high)
     if name == "apex_stretch":
         apex = np.sort(np.append(apex, wanted))
+    apex = _towards_cones(membrane, q, apex)
     fraction = q / np.asarray(largest_load(membrane.material, apex))
-    top = min(loads[1], 0.97)
+    top = min(loads[1], 1 - _CONE)
     inside = (fraction <= top) & (fraction >= loads[0])
     if not inside.any():
         return np.zeros((3, 0))
