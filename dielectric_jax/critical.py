@@ -16,7 +16,7 @@ from .contours import OnSurface
 from .equilibria import SCALE, Points
 from .stations import Curve, between, hermite, scaled, solve_between
 
-__all__ = ["Located", "fold_events", "locate", "loads_beside_folds", "special_points"]
+__all__ = ["Located", "fold_events", "loads_beside_folds", "locate", "special_points"]
 
 
 _ROUNDS = 16
@@ -383,10 +383,11 @@ def loads_beside_folds(solver, curves, located, kind: str, target: float, tolera
             continue
         above = line.points.u[2, i : i + 2] > target
         doubt = fold.error * max(abs(load), 1e-3)
-        if above[0] != above[1] or above[0] == (load > target) or load == target:
+        if above[0] != above[1]:
             continue
         if abs(load - target) <= doubt:
             missed += [(kind, fold.branch, i, target)] if kind == "zero_voltage" else []
+        if abs(load - target) <= doubt or above[0] == (load > target):
             continue
         points = Points.join([line.points.take(slice(0, i + 1)), fold.point, line.points.take(slice(i + 1, None))])
         position = np.insert(line.position, i + 1, fold.position)

@@ -106,8 +106,8 @@ def build_ramp(solved, initial_volume: float | None) -> tuple[Ramp, Ramp | None]
     zeros = [p for p in solved.located if p.kind == "zero_voltage"]
     if initial_volume is not None:
         start = min(zeros, key=lambda p: abs(p.point.volume[0] / initial_volume - 1), default=None)
-        if start is not None and not abs(start.point.volume[0] / initial_volume - 1) < 1e-5:
-            start = None
+        if start is None or not abs(start.point.volume[0] / initial_volume - 1) < 1e-5:
+            start = solved.start_beside_fold(initial_volume)
     else:
         zeros.sort(key=lambda p: p.point.volume[0])
         stable = [p for p in zeros if p.point.index[0] == 0]
