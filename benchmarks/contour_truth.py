@@ -150,9 +150,11 @@ def pressure_folds(q: float, limit: float, rim: float, count: int, cone: float =
             def pressure(a):
                 return truth.states(a, q, limit, rim, steps=400)[0]
 
-            near = turning(pressure, apex[i], half, 10)
+            place = apex[i]
+            for width in (half, half / 10):  # the second for the digits
+                near = turning(pressure, place, width, 10)
+                place, value = min(near, key=lambda f, place=place: abs(f[0] - place), default=(place, np.nan))
             if near:
-                place, value = min(near, key=lambda f: abs(f[0] - apex[i]))
                 folds.append((place, value, 1 - fraction(place)))
         pieces.append({"range": (float(apex[0]), float(apex[-1])), "folds": folds})
     return pieces
