@@ -143,18 +143,17 @@ def pressure_folds(q: float, limit: float, rim: float, count: int, cone: float =
         known = unsure < 1e-6
         apex, p = apex[known], p[known]
         rise = np.diff(p) > 0
-        folds = []
-        for i in np.flatnonzero(rise[1:] != rise[:-1]) + 1:
-            half = min(apex[i] - apex[i - 1], apex[i + 1] - apex[i])
-
-            def pressure(a):
-                return truth.states(a, q, limit, rim, steps=400)[0]
-
-            place = apex[i]
-            for width in (half, half / 10):  # the second for the digits
-                near = turning(pressure, place, width, 10)
-                place, value = min(near, key=lambda f, place=place: abs(f[0] - place), default=(place, np.nan))
-            if near:
-                folds.append((place, value, 1 - fraction(place)))
+        at = np.flatnonzero(rise[1:] != rise[:-1]) + 1
+        places, half = apex[at], np.minimum(np.diff(apex)[at - 1], np.diff(apex)[at])
+        values = np.full(len(at), np.nan)
+        x = np.cos(np.pi * (np.arange(10) + 0.5) / 10)
+        for width in (half, half / 10) if len(at) else ():  # the second for the digits; all folds in one call
+            around = places[:, None] + width[:, None] * x
+            there = truth.states(around.ravel(), q, limit, rim, steps=400)[0].reshape(around.shape)
+            for k in range(len(at)):
+                found = turning(lambda _, k=k, there=there: there[k], places[k], width[k], 10)
+                nearest = min(found, key=lambda f, k=k: abs(f[0] - places[k]), default=(places[k], np.nan))
+                places[k], values[k] = nearest
+        folds = [(float(a), float(v), float(1 - fraction(a))) for a, v in zip(places, values, strict=True)]
         pieces.append({"range": (float(apex[0]), float(apex[-1])), "folds": folds})
     return pieces
