@@ -780,7 +780,8 @@ Made by `python benchmarks/hard_cases.py --table docs/hard_cases.md`; `tests/tes
 
 Each row says what is asked, what is true and how that is known, what is answered, and the error. Nothing that is called true
 comes from the package: it is a closed form, a series, a reference number of another method, or the extended precision of
-`benchmarks/truth.py`, which shares no code with it. The error is |error|/max(|value|, 1e-3), at the answered λa for states;
+`benchmarks/truth.py`, which shares no code with it; but batches are compared with their own lanes alone, and the surface's
+snap of a tiny chamber with the continuation's, which the row above it judges. The error is |error|/max(|value|, 1e-3), at the answered λa for states;
 "—" stands where the answer is a refusal, and ∞ where it is of another kind than what is true. A row is right where the error
 is at most ten times the estimate, or where the answer itself names its limit (last column but one): a flag, a result code,
 the outcome `unresolved`, an error in words. Where the package gives no estimate (counts, shots, second derivatives, reference
