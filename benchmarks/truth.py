@@ -76,8 +76,11 @@ def _correct(end, rate, pressure, rise):
     return pressure * np.exp(shift), (end[3] + rate[3] * shift) * np.exp(-3 * shift), shift
 
 
-def shoot_on_fixed_grid(apex, pressure, q, limit, rim, steps):
-    """Half of the steps grow geometrically towards the apex's radius of curvature, half are even in asinh beyond it."""
+def shoot(apex, pressure, q, limit, steps=280):
+    """λ1 − λa, λ2 − λa, θ, V at R = 1 of the shot from (λa, p, q), in the precision of its arguments.
+
+    Half of the steps grow geometrically towards the apex's radius of curvature, half are even in asinh beyond it.
+    """
     first, scale, y = _start(apex, pressure, q, limit)
     args = (apex, pressure, q, limit)
     joint = 0.25 * scale
@@ -91,12 +94,57 @@ def shoot_on_fixed_grid(apex, pressure, q, limit, rim, steps):
             return stretching * _rates(radius, y, *args)
 
         for n in range(steps // 2):
-            at = begin + n * h
-            k = [slope(at, y)]
-            for row, c in zip(DOP853.A[1:], DOP853.C[1:], strict=True):
-                k.append(slope(at + c * h, y + h * sum(a * v for a, v in zip(row, k, strict=False) if a != 0)))
-            y = y + h * sum(b * v for b, v in zip(DOP853.B, k, strict=True) if b != 0)
-    return _correct(y, _rates(np.ones_like(scale), y, *args), pressure, rim - apex)
+            y = _step(slope, begin + n * h, h, y)
+    return y
+
+
+def _step(slope, at, h, y):
+    """y(at + h) by one step of the eighth-order method of Dormand and Prince."""
+    k = [slope(at, y)]
+    for row, c in zip(DOP853.A[1:], DOP853.C[1:], strict=True):
+        k.append(slope(at + c * h, y + h * sum(a * v for a, v in zip(row, k, strict=False) if a != 0)))
+    return y + h * sum(b * v for b, v in zip(DOP853.B, k, strict=True) if b != 0)
+
+
+def shoot_on_fixed_grid(apex, pressure, q, limit, rim, steps):
+    """True p and V, and the correction of log R, from a shot in so many steps."""
+    y = shoot(apex, pressure, q, limit, steps)
+    return _correct(y, _rates(np.ones_like(apex), y, apex, pressure, q, limit), pressure, rim - apex)
+
+
+def rim_pressure(apex, q, limit, rim, rise=0.04):
+    """A guess of the pressure of the one state at (λa, q), to a thousandth or better; NaN where λ2 does not come to λ0.
+
+    With p = 1 the shots run on in log R, in steps of `rise`, until λ2 = λ0; there R is the pressure. Arrays (lanes,).
+    """
+    apex, q, limit, rim = (np.array(v, float) for v in np.broadcast_arrays(apex, q, limit, rim))
+    guess = np.full(apex.shape, np.nan)
+    with np.errstate(all="ignore"):
+        radius, _, y = _start(apex, 1.0, q, limit)
+        todo = np.arange(len(apex))
+        at = np.log(radius)
+        for _ in range(1200):
+
+            def slope(u, y, lanes=todo):
+                return np.exp(u) * _rates(np.exp(u), y, apex[lanes], 1.0, q[lanes], limit[lanes])
+
+            after = _step(slope, at, rise, y)
+            gap, left = rim[todo] - apex[todo] - y[1], rim[todo] - apex[todo] - after[1]
+            met = left >= 0
+            guess[todo[met]] = np.exp(at[met] + rise * (gap / (gap - left))[met])
+            on = ~met & np.isfinite(left)
+            todo, at, y = todo[on], at[on] + rise, after[:, on]
+            if not len(todo):
+                break
+    return guess
+
+
+def states(apex, q, limit, rim, steps=140):
+    """True p, V of the one state at (λa, q) of each lane and their uncertainty, from nothing but these."""
+    apex, q, limit, rim = np.broadcast_arrays(apex, q, limit, rim)
+    guess = rim_pressure(apex, q, limit, rim)
+    near = np.asarray(exact(apex, guess, q, limit, rim, steps=steps // 2)[0], float)
+    return exact(apex, np.where(np.isfinite(near), near, guess), q, limit, rim, steps=steps)
 
 
 def exact(apex, pressure, q, limit, rim, steps=140):

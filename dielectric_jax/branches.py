@@ -266,5 +266,6 @@ def _agrees(membrane, curve: Curve, contours, chart: Scan) -> bool:
         return True
     away = np.full(int(inside.sum()), np.inf)
     for vertices in contours:
-        away = np.minimum(away, _distance_to_polyline(here[inside], _on_chart(membrane, vertices[::_THIN])))
+        few = vertices[::_THIN] if len(vertices) > _THIN else vertices
+        away = np.minimum(away, _distance_to_polyline(here[inside], _on_chart(membrane, few)))
     return bool((away < _NEAR).all())

@@ -247,6 +247,17 @@ def _columns(places, fields, valid, fine) -> np.ndarray:
     return out
 
 
+def _through(even, values):
+    """Cubic splines through columns (2, places, columns) at even places, as a function of places; NaN beside a NaN."""
+    lost = ~np.isfinite(values).all(axis=0)
+    filled = np.where(lost, 0.0, values)
+    for j in np.flatnonzero(lost.any(axis=0) & ~lost.all(axis=0)):
+        known = ~lost[:, j]
+        filled[:, :, j] = [np.interp(even, even[known], row[known, j]) for row in values]
+    smooth, holes = make_interp_spline(even, filled, k=3, axis=1), make_interp_spline(even, lost.astype(float), k=1)
+    return lambda places: np.where(holes(places) > 1e-12, np.nan, smooth(places))
+
+
 def _find_cliff(membrane: Membrane, high: float, low_t: float, high_t: float) -> np.polynomial.Polynomial:
     """The share of the stretch at which p falls steepest, as a polynomial of t.
 
@@ -312,7 +323,7 @@ def scan(membrane: Membrane, stretches, loads, refinement: int = _REFINEMENT) ->
         apex, t = stretch_of(share), np.broadcast_to(x, share.shape)
         even = np.linspace(0.0, 1.0, 6 * _NODES[2])
         moving = _columns(places, *_mapped(membrane, apex, t), even)
-        smooth = make_interp_spline(even, moving, k=3, axis=1)
+        smooth = _through(even, moving)
         values = [
             smooth(_places(rows, first, cliff(v))) @ row
             for v, row in zip(np.asarray(own_t), np.asarray(matrix), strict=True)

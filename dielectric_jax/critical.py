@@ -16,7 +16,7 @@ from .contours import OnSurface
 from .equilibria import SCALE, Points
 from .stations import Curve, between, hermite, scaled, solve_between
 
-__all__ = ["Located", "fold_events", "locate", "special_points"]
+__all__ = ["Located", "fold_events", "loads_beside_folds", "locate", "special_points"]
 
 
 _ROUNDS = 16
@@ -244,7 +244,7 @@ def _locate_loads(solver, curves, wanted, tolerance):
         w: Located(
             w[0],
             w[1],
-            float(curves[w[1]].position[w[2]] + along[n]),
+            float(curves[w[1]].position[w[2]] + along[n] / gap[n] * np.diff(curves[w[1]].position[w[2] : w[2] + 2])[0]),
             points.take(np.array([n])),
             float(points.error[n]),
         )
@@ -362,4 +362,39 @@ def special_points(solver, curves: list[Curve], kinds: tuple[str, ...], toleranc
         for i in brackets(curve, kind)
     ]
     found, missed = locate(solver, curves, wanted, tolerance, certify=certify)
+    if "zero_voltage" in kinds:
+        more = loads_beside_folds(solver, curves, found, "zero_voltage", 0.0, tolerance, certify=certify)
+        found, missed = found + more[0], missed + more[1]
     return sorted(found, key=lambda p: (p.branch, p.position)), missed
+
+
+def loads_beside_folds(solver, curves, located, kind: str, target: float, tolerance: float, *, certify: bool = True):
+    """States at a load that two neighbours do not bracket, but a located fold between them does; and those not met.
+
+    A fold nearer to zero voltage than its own error does not say whether there are such states: it counts as not met.
+    """
+    lines, wanted, missed = list(curves), [], []
+    for fold in located:
+        if fold.kind != "fold":
+            continue
+        line, load = lines[fold.branch], float(fold.point.u[2, 0])
+        i = int(np.searchsorted(line.position, fold.position)) - 1
+        if not 0 <= i < len(line.position) - 1:
+            continue
+        above = line.points.u[2, i : i + 2] > target
+        doubt = fold.error * max(abs(load), 1e-3)
+        if above[0] != above[1]:
+            continue
+        if abs(load - target) <= doubt:
+            missed += [(kind, fold.branch, i, target)] if kind == "zero_voltage" else []
+        if abs(load - target) <= doubt or above[0] == (load > target):
+            continue
+        points = Points.join([line.points.take(slice(0, i + 1)), fold.point, line.points.take(slice(i + 1, None))])
+        position = np.insert(line.position, i + 1, fold.position)
+        lines[fold.branch] = dataclasses.replace(line, points=points, position=position)
+        wanted = [(k, b, n + (b == fold.branch and n > i), at) for k, b, n, at in wanted]
+        wanted += [(kind, fold.branch, i, target), (kind, fold.branch, i + 1, target)]
+    if not wanted:
+        return [], missed
+    found, lost = locate(solver, lines, wanted, tolerance, certify=certify)
+    return found, missed + lost

@@ -9,7 +9,7 @@ import numpy as np
 
 from .branches import find_curves
 from .contours import OnSurface
-from .critical import Located, brackets, fold_events, locate, special_points
+from .critical import Located, brackets, fold_events, loads_beside_folds, locate, special_points
 from .equilibria import Shooting
 from .loading import Chamber, ConstantPressure, ConstantVoltage, Contour
 from .materials import largest_load
@@ -165,8 +165,31 @@ class Solved:
             for i in brackets(curve, "load", voltage_squared)
         ]
         found, missed = locate(self.solver, self.curves, wanted, self.tolerance, certify=self.certify)
-        self.missed.extend(missed)
-        return found
+        beside = (self.solver, self.curves, self.located, "load", voltage_squared, self.tolerance)
+        more, lost = loads_beside_folds(*beside, certify=self.certify)
+        self.missed.extend(missed + lost)
+        return found + more
+
+    def start_beside_fold(self, volume: float) -> Located | None:
+        """The start of a chamber of this volume at zero voltage where it is nearer to a fold than the fold's own error.
+
+        Its index tells on which side it lies.
+        """
+        near = [p for p in self.located if p.kind == "fold" and abs(float(p.point.u[2, 0])) < 1e-9]
+        fold = min(near, key=lambda p: abs(p.point.volume[0] - volume), default=None)
+        if fold is None:
+            return None
+        engine = self.solver.shooting if isinstance(self.solver, OnSurface) else self.solver
+        row = np.full((1, 3), np.nan)
+        point = engine.polish(fold.point.u, row, np.array([volume]), tolerance=self.tolerance, reach=0.1)
+        if not (point.ok[0] and abs(point.u[2, 0]) < 1e-9):
+            return None
+        curve = self.curves[fold.branch]
+        i = int(np.clip(np.searchsorted(curve.position, fold.position), 1, len(curve.position) - 1))
+        side = 1.0 if curve.points.index[i - 1] == 0 else -1.0  # along which the stable states come to the fold
+        point.tangent[0, 2] = side * abs(point.tangent[0, 2])
+        position = fold.position - 1e-6 * side
+        return Located("zero_voltage", fold.branch, position, point, float(point.error[0]))
 
     def state(self, located: Located) -> State:
         """The record of a located state."""

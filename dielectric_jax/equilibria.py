@@ -25,6 +25,9 @@ SCALE = np.array([1.0, 0.2, 0.02])  # of (λa, p, q)
 # needs more, and more again where the layer is thin
 LADDERS = ((16.0, 32.0, 64.0, 128.0), (24.0, 48.0, 96.0, 192.0, 320.0), (80.0, 160.0, 320.0))
 _REFINED = (48.0, 144.0, 240.0)  # steps of a refined tangent
+_NEAR_FOLD = (
+    1e-3  # component of the tangent along the control below which a tangent is refined: the index turns on its sign
+)
 CONTRACTION = (2e-4, 3e-3, 1e-3)  # of a chord step: the error of Newton's Jacobian, measured
 _TRIES = (9, 6, 9)  # of Newton
 _MOST_MOVE = 3e-9  # relative: height and charge are not moved along with the state
@@ -188,8 +191,8 @@ def polish(
     """Newton from `u` (3, lanes) onto the contour, with rows·u = targets; `rows` is (lanes, 3).
 
     A row of NaN asks for a volume: V = target. `reach` bounds the total correction in scaled unknowns: farther means not
-    converged. `refine`, one for all or each lane, takes tangent and index from a finer grid at the end. Lanes that fail
-    have ok = False and never disturb the others.
+    converged. `refine`, one for all or each lane, takes tangent and index from a finer grid at the end, as is done near
+    folds anyway. Lanes that fail have ok = False and never disturb the others.
     """
     await_programs(membrane)
     u, rows, targets = np.array(u, float), np.asarray(rows, float), np.asarray(targets, float)
@@ -350,8 +353,9 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, level, refine
             if exponent != ADAPTIVE[0]:
                 estimate_errors(active)
                 active = active[~(estimate[active] <= tolerance)]
-    which = np.flatnonzero(settled)
-    which = which[refine[which]]
+    with np.errstate(invalid="ignore"):
+        refine = refine | (np.abs(tangents(matrix[:, :2])[:, contour.control]) < _NEAR_FOLD)
+    which = np.flatnonzero(settled & refine)
     if len(which):
         steps = _REFINED[level]
         lag, vol, columns[..., which], zeros[which] = run_chunks(

@@ -34,6 +34,7 @@ _FOLDS, _ZEROS, _BREAKS = 6, 5, 3  # that are listed
 _KINDS = np.repeat([FOLD, LEVEL, BREAKDOWN], [_FOLDS, _ZEROS, _BREAKS])
 _DIPS = 3
 _AMBIGUOUS = 1e-6  # two folds whose loads differ by less than this share are not told apart
+_STILL = 1e-8  # of a slope, in the scale of q: what the surface's error may hide
 _MERGING = 2e-3  # a slope of q between rows below this share of the largest may hide two folds
 
 
@@ -143,7 +144,8 @@ class ContourOnRows(eqx.Module):
             return jnp.clip(x - bend / more, middle - reach, middle + reach)
 
         least = _horner(slope, jax.lax.fori_loop(0, 8, newton, middle))[0]
-        return ~(least * _horner(slope, middle)[0] > 0) | ~(jnp.abs(least) > 1e-9)
+        # against the way from row to row: at the middle the slope may have turned already
+        return ~(least * (self.load[row + 1] - self.load[row]) > 0) | ~(jnp.abs(least) > _STILL)
 
 
 class Events(eqx.Module):

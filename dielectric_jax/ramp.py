@@ -105,8 +105,9 @@ def build_ramp(solved, initial_volume: float | None) -> tuple[Ramp, Ramp | None]
     """The way up from zero voltage and, where there is an unbroken state to come back from, the way down."""
     zeros = [p for p in solved.located if p.kind == "zero_voltage"]
     if initial_volume is not None:
-        near = [p for p in zeros if abs(p.point.volume[0] / initial_volume - 1) < 1e-5]
-        start = near[0] if near else None
+        start = min(zeros, key=lambda p: abs(p.point.volume[0] / initial_volume - 1), default=None)
+        if start is None or not abs(start.point.volume[0] / initial_volume - 1) < 1e-5:
+            start = solved.start_beside_fold(initial_volume)
     else:
         zeros.sort(key=lambda p: p.point.volume[0])
         stable = [p for p in zeros if p.point.index[0] == 0]

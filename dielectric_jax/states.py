@@ -17,9 +17,14 @@ from .membrane import Membrane, require_float64
 from .records import State, voltage_of
 from .results import Code, SceneError, check_positive
 from .scene import Scene, Window
+from .shooting import MOST_STEPS
 from .surface import Surface
 
 __all__ = ["equilibrium", "filling", "flat_state", "states_of"]
+
+
+_MOST_ERROR = 1e-3  # the loosest tolerance: what is farther off is no state
+_CONE = 3e-4  # 1 − t up to which states are sought; folds towards the cone are a factor of 3.6 apart
 
 
 def check_request(points: int, tolerance: float) -> None:
@@ -135,10 +140,11 @@ def _filled_state(membrane: Membrane, quantity: str, wanted: float, tolerance: f
         return None
 
 
-def too_flat(membrane: Membrane, quantity: str, wanted: float) -> bool:
-    """Whether a pressure or volume belongs to a membrane nearer to flat than the first of the scan's stretches."""
-    _, pressure, volume = _zero_load_line(membrane)
-    return wanted < (pressure if quantity == "pressure" else volume)[0]
+def too_flat(membrane: Membrane, quantity: str, wanted: float, q: float = 0.0) -> bool:
+    """Whether a value belongs to a tense membrane nearer to flat than the first of the scan's stretches."""
+    apex, pressure, volume = _zero_load_line(membrane)
+    first = {"pressure": pressure, "volume": volume, "apex_stretch": apex}[quantity][0]
+    return bool(wanted < first and q <= float(largest_load(membrane.material, float(membrane.prestretch))))
 
 
 def _crossing_state(apex, pressure, value, prestretch: float, i: int) -> list:
@@ -173,7 +179,7 @@ def equilibrium(
 ) -> typing.Any:
     """The equilibrium at a voltage and one of pressure, volume or apex stretch: the one of smallest volume, stable or not.
 
-    With `all=True` a list of every one in the window, ordered by volume. The index is that of prescribed pressure. A
+    With `all=True` a list of every one in the window up to t = 0.9997, ordered by volume: beyond, folds go on without end. The index is that of prescribed pressure. A
     `surface` of the membrane gives the starts inside its domain, which shooting makes exact; the explicit map the others.
     Raises ValueError for bad input and SceneError where there is none.
 
@@ -206,26 +212,58 @@ def equilibrium(
         return _flat_equilibrium(membrane, float(voltage), all)
     contour = scene.loading.contour()
     check_surface(surface, membrane)
-    found = _starts(membrane, float(voltage) ** 2, name, wanted, limits, surface)
-    states: list[State] = []
+    found, extremes = _starts(membrane, float(voltage) ** 2, name, wanted, limits, surface)
+    met = [_beside_extreme(membrane, contour, extreme, name, wanted, tolerance) for extreme in extremes]
     if found.size:
         rows = {"apex_stretch": [1.0, 0, 0], "pressure": [0, 1.0, 0], "volume": [np.nan] * 3}[name]
         lanes = found.shape[1]
-        result = polish(
-            membrane, contour, found, np.tile(rows, (lanes, 1)), np.full(lanes, wanted), tolerance=tolerance, reach=1.0
-        )
+        targets = np.full(lanes, wanted)
+        met.append(polish(membrane, contour, found, np.tile(rows, (lanes, 1)), targets, tolerance=tolerance, reach=1.0))
+    states: list[State] = []
+    vague = False
+    for result in met:
         for state in states_of(result.take(np.flatnonzero(result.ok)), tolerance):
-            if not any(abs(state.apex_stretch / other.apex_stretch - 1) < 1e-9 for other in states):
+            if not state.error_estimate <= _MOST_ERROR:
+                vague = True
+            elif not any(_same(state, other) for other in states):
                 states.append(state)
     if not states:
         if name == "volume" and wanted > (most := _reach(membrane, "volume")):
             raise ValueError(
                 f"`volume` must lie between 0 and {most:.6g}, what the membrane reaches up to its lock-up, but is {wanted!r}."
             )
-        flat = name != "apex_stretch" and too_flat(membrane, name, wanted)
-        raise SceneError(Code.near_flat if flat else Code.no_equilibrium)
+        flat = too_flat(membrane, name, wanted, float(voltage) ** 2)
+        raise SceneError(Code.near_flat if flat else Code.beyond_tolerance if vague else Code.no_equilibrium)
     states.sort(key=lambda s: s.volume)
     return states if all else states[0]
+
+
+def _beside_extreme(membrane, contour, extreme, name: str, wanted: float, tolerance: float) -> Points:
+    """The two states, or none, whose p or V is very near an extreme on a line of the chart.
+
+    There the value tells λa badly, but λa the value well: exact states at seven stretches give a polynomial, its roots the
+    stretches.
+    """
+    top, reach, pressure, load = extreme
+
+    def exact(apex):
+        u = np.stack([apex, np.full(len(apex), pressure), np.full(len(apex), load)])
+        return polish(membrane, contour, u, np.tile([1.0, 0, 0], (len(apex), 1)), apex, tolerance=tolerance / 100)
+
+    x = np.cos(np.pi * (np.arange(7) + 0.5) / 7)
+    points = exact(top + reach * x)
+    value = points.u[1] if name == "pressure" else points.volume
+    if not points.ok.all():
+        return points.take(slice(0, 0))
+    roots = (np.polynomial.Polynomial(np.linalg.solve(np.vander(x, increasing=True), value)) - wanted).roots()
+    roots = roots[np.isreal(roots) & (np.abs(roots) <= 1)].real
+    return exact(top + reach * roots) if len(roots) else points.take(slice(0, 0))
+
+
+def _same(one: State, other: State) -> bool:
+    """Whether two starts have met one state: beside a fold λa is the vaguer, but there the indices of two differ."""
+    near = abs(one.apex_stretch / other.apex_stretch - 1)
+    return near < 1e-9 or (near < 1e-6 and one.index == other.index)
 
 
 def _flat_equilibrium(membrane: Membrane, voltage: float, every: bool):
@@ -247,63 +285,99 @@ def _line_states(membrane: Membrane, apex, fraction, surface: Surface | None):
     rest = ~np.isfinite(values).all(axis=0)
     if rest.any():
         rim = float(membrane.prestretch)
-        values[:, rest] = map_nodes(membrane.material, apex[rest], fraction[rest], rim, 96.0)
+        for which, steps in ((rest & (fraction <= 0.9), 96.0), (rest & (fraction > 0.9), float(MOST_STEPS))):
+            if which.any():
+                values[:, which] = map_nodes(membrane.material, apex[which], fraction[which], rim, steps)
     return values
 
 
-def _starts(membrane, q, name, wanted, limits, surface=None) -> np.ndarray:
-    """Guesses (3, n) for every state at load q with the wanted value, from a line of the chart."""
+def _towards_cones(membrane, q: float, apex: np.ndarray) -> np.ndarray:
+    """The stretches with more of them, geometrically closer, towards those at which q is q_max(λa)."""
+
+    def excess(stretch):
+        return q / np.asarray(largest_load(membrane.material, stretch)) - 1
+
+    over = excess(apex) >= 0
+    more = [apex]
+    for i in np.flatnonzero(over[:-1] != over[1:]):
+        cone = root_scalar(excess, bracket=(apex[i], apex[i + 1]), xtol=1e-15).root
+        side = -1 if over[i + 1] else 1
+        reach = apex[np.clip(i + 12 * side, 0, len(apex) - 1)] - cone
+        more.append(cone + reach * np.geomspace(1.0, 1e-6, 160))
+    return np.unique(np.concatenate(more))
+
+
+_NEAR_EXTREME = (
+    1e-6  # of log p or log V: nearer to an extreme of the line the two states beside it have their own solve
+)
+
+
+def _starts(membrane, q, name, wanted, limits, surface=None) -> tuple[np.ndarray, list[tuple]]:
+    """Guesses (3, n) for every state at load q with the wanted value, from a line of the chart; and near extremes.
+
+    An extreme is its λa, the reach of λa about it, p and q.
+    """
     (low, high), _, loads = limits
     prestretch = float(membrane.prestretch)
     share = stretch_shares(max((low - prestretch) / (high - prestretch), 1e-9), 640)
     apex = np.minimum(prestretch + (high - prestretch) * share, high)
     if name == "apex_stretch":
         apex = np.sort(np.append(apex, wanted))
+    apex = _towards_cones(membrane, q, apex)
     fraction = q / np.asarray(largest_load(membrane.material, apex))
-    top = min(loads[1], 0.97)
+    top = min(loads[1], 1 - _CONE)
     inside = (fraction <= top) & (fraction >= loads[0])
     if not inside.any():
-        return np.zeros((3, 0))
+        return np.zeros((3, 0)), []
     pressure, volume, slope = _line_states(membrane, apex[inside], fraction[inside], surface)
     apex = apex[inside]
     ok = (slope < 0) & np.isfinite(pressure) & np.isfinite(volume) & (pressure > 0) & (volume > 0)
     rows = np.flatnonzero(inside)[ok]
     apex, pressure, volume = apex[ok], pressure[ok], volume[ok]
     if len(apex) < 2:
-        return np.zeros((3, 0))
+        return np.zeros((3, 0)), []
     if name == "apex_stretch":
         i = int(np.argmin(np.abs(apex - wanted)))
-        return np.array([[apex[i]], [pressure[i]], [q]]) if abs(apex[i] - wanted) < 1e-12 else np.zeros((3, 0))
+        there = abs(apex[i] - wanted) < 1e-12
+        return (np.array([[apex[i]], [pressure[i]], [q]]) if there else np.zeros((3, 0))), []
     value = {"pressure": np.log(pressure / wanted), "volume": np.log(volume / wanted)}[name]
     joined = np.diff(rows) == 1
-    guesses = []
-    for i in np.flatnonzero((value[:-1] * value[1:] <= 0) & joined):
-        s = value[i] / (value[i] - value[i + 1]) if value[i] != value[i + 1] else 0.5
-        guesses.append((i, s))
-    # a local extremum between nodes may hide a pair of states: a quintic spline knows its height
-    spline = make_interp_spline(np.arange(len(value)), value, k=5) if len(value) > 5 else None
+    guesses: list[np.ndarray] = []
+    extremes: list[tuple] = []
+    # a local extremum between nodes may hide a pair of states: the quintic through six neighbours knows its height
     for i in np.flatnonzero(np.diff(value)[:-1] * np.diff(value)[1:] < 0) + 1:
-        if spline is None or not joined[i - 1 : i + 1].all():
+        first = min(max(i - 2, 0), len(value) - 6)
+        if first < 0 or not joined[i - 1 : i + 1].all():
             continue
-        top = float(i)
+        reach = apex[i + 1] - apex[i - 1]
+        x = (apex[first : first + 6] - apex[i]) / reach
+        quintic = np.polynomial.Polynomial(np.linalg.solve(np.vander(x, increasing=True), value[first : first + 6]))
+        slope, bend = quintic.deriv(), quintic.deriv(2)
+        top = 0.0
         for _ in range(8):
-            top -= float(np.clip(spline(top, 1) / spline(top, 2), -0.5, 0.5))
-        if not i - 1 <= top <= i + 1:
+            top -= float(np.clip(slope(top) / bend(top), -0.25, 0.25))
+        if not -1 <= top <= 1:
             continue
-        depth, curvature = float(spline(top)), float(spline(top, 2))
+        depth, curvature = quintic(top), bend(top)
+        if abs(depth) < _NEAR_EXTREME:
+            extremes.append((apex[i] + reach * top, reach, float(pressure[i]), q))
+            continue
         if value[i - 1] * value[i] > 0 and value[i] * value[i + 1] > 0 and depth * curvature < 1e-9 * curvature**2:
-            half = math.sqrt(max(-2 * depth / curvature, 1e-9))
-            guesses += [(int(x), x - int(x)) for x in (top - half, top + half)]
+            half = min(math.sqrt(max(-2 * depth / curvature, 1e-9)), 1.0)
+            guesses.append(np.clip(apex[i] + reach * np.array([top - half, top + half]), apex[0], apex[-1]))
+    crossed = np.flatnonzero((value[:-1] * value[1:] <= 0) & joined)
+    with np.errstate(invalid="ignore"):
+        share = np.nan_to_num(value[crossed] / (value[crossed] - value[crossed + 1]), nan=0.5)
+    single = apex[crossed] + share * np.diff(apex)[crossed]
+    for top, reach, *_ in extremes:
+        single = single[np.abs(single - top) > reach]
     logs = np.log(pressure)
-    out = []
-    for i, s in guesses:
-        k = min(max(i, 0), len(apex) - 2)
-        s = s + (i - k)
-        out.append([apex[k] + s * (apex[k + 1] - apex[k]), math.exp(logs[k] + s * (logs[k + 1] - logs[k])), q])
+    places = np.concatenate([single, *guesses])
+    out = [[a, p, q] for a, p in zip(places, np.exp(np.interp(places, apex, logs)), strict=True)]
     if value[0] > 0 and rows[0] == 0:
         # below the first node: p and V are powers of λa − λ0 at the flat end
         rise = np.log((apex[1] - prestretch) / (apex[0] - prestretch)) / (value[1] - value[0])
         fall = math.exp(-value[0] * rise)
         slope = (logs[1] - logs[0]) / np.log((apex[1] - prestretch) / (apex[0] - prestretch))
         out.append([prestretch + (apex[0] - prestretch) * fall, math.exp(logs[0] + slope * math.log(fall)), q])
-    return np.array(out).T if out else np.zeros((3, 0))
+    return (np.array(out).T if out else np.zeros((3, 0))), extremes

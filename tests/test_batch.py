@@ -43,7 +43,9 @@ def test_every_eighth_chamber_of_the_references():
     """Folds, zero-voltage states, breakdown and landing of 32 chambers, made without the package in extended precision."""
     with DATA.open() as file:
         groups = itertools.groupby(csv.DictReader(file), key=lambda row: float(row["chamber_volume"]))
-        truth = {volume: [(r["kind"], float(r["voltage_squared"]), float(r["volume"])) for r in g] for volume, g in groups}
+        truth = {
+            volume: [(r["kind"], float(r["voltage_squared"]), float(r["volume"])) for r in g] for volume, g in groups
+        }
     some = list(truth)[::8]
     batch = continue_scenes([chamber(v) for v in some])
     assert (batch.code == dj.Code.breakdown).all()

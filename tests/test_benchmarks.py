@@ -162,3 +162,26 @@ def test_a_cold_start_is_taken_apart(tmp_path):
     assert empty["error"] < 1e-9 and filled["error"] < 1e-9, said
     stages = "stages_summed_over_threads"
     assert filled[stages]["compile"] < empty[stages]["compile"] and filled[stages]["load"] > 0
+
+
+def test_some_hard_cases_make_a_table(tmp_path):
+    table = tmp_path / "table.md"
+    record, said = quick("hard_cases.py", tmp_path, "--case", "6", "10", "--table", table)
+    assert len(record["records"]) >= 8 and all(r["right"] for r in record["records"]), said
+    for r in record["records"]:
+        assert {"name", "engine", "parameters", "error", "seconds_per_diagram", "compile_seconds", "counts"} <= set(r)
+        assert {"true", "known_by", "answered", "machine"} <= set(r)
+    text = table.read_text(encoding="utf-8")
+    assert "## 6. Volume at lock-up" in text and "## 10. Beyond slack" in text and "## 7." not in text
+    assert text.count("| yes |") == len(record["records"])
+
+
+def test_some_hard_scenes_are_counted(tmp_path):
+    record, said = quick("hard_scenes.py", tmp_path)
+    ramps, sample = record["records"]
+    assert ramps["engine"] == "surface" and sample["engine"] == "continuation", said
+    counts = ramps["counts"]
+    outcomes = {k: v for k, v in counts.items() if k not in ("scenes", "half_told")}
+    assert counts["scenes"] == sum(outcomes.values()) == 64 and counts["half_told"] == 0
+    assert sample["counts"]["compared"] >= 2 and sample["counts"]["differing"] == 0, said
+    assert sample["error"] < 1e-8 and ramps["error"] <= 1e-8
