@@ -5,7 +5,8 @@ voltage–volume diagram from the filling at zero voltage to breakdown, with its
 landing. Errors are against `data/chambers.csv` (see `make_references.py`), good to 1e-12. All in one process run, error beside
 time; what carries over to another machine are ratios. Compiling, building a surface and starting a process are told apart.
 
-- `continuation`: our diagrams by shooting and pseudo-arclength, at several tolerances.
+- `continuation`: ours by shooting and pseudo-arclength, at several tolerances: all lanes in one batch, and single diagrams
+  (with every branch of the whole window and an independent scan) of some lanes.
 - `surface`: `chamber_ramps` on surfaces of several tolerances. What the surface does not decide is a wrong lane here.
 - `scipy_shooting`, `scipy_solve_bvp`: SciPy's DOP853 and `solve_bvp` under a continuation in NumPy, stepping at given
   apex stretches (natural) or along the arc, on some of the lanes.
@@ -110,27 +111,41 @@ def of_diagram(diagram: dj.Diagram) -> Found:
     )
 
 
-def continuation(lanes: list[float], tolerance: float, **options) -> dict[float, Found]:
-    """Our diagrams by continuation: one after the other."""
-    found = {}
-    for chamber in lanes:
-        loading = dj.Chamber(
-            volume=chamber, initial_volume=chambers.INITIAL_VOLUME, atmospheric_pressure=chambers.ATMOSPHERE
-        )
-        found[chamber] = of_diagram(dj.voltage_volume(dj.Scene(MEMBRANE, loading), tolerance=tolerance, **options))
-    return found
+def scenes_of(lanes: list[float]) -> list[dj.Scene]:
+    """The chambers of the batch."""
+    given = {"initial_volume": chambers.INITIAL_VOLUME, "atmospheric_pressure": chambers.ATMOSPHERE}
+    return [dj.Scene(MEMBRANE, dj.Chamber(volume=chamber, **given)) for chamber in lanes]
+
+
+def one_by_one(lanes: list[float], tolerance: float, **options) -> dict[float, Found]:
+    """Single diagrams, one after the other."""
+    scenes = zip(lanes, scenes_of(lanes), strict=True)
+    return {chamber: of_diagram(dj.voltage_volume(scene, tolerance=tolerance, **options)) for chamber, scene in scenes}
 
 
 def continuation_entries(lanes, quick):
+    scenes = scenes_of(lanes)
+    for tolerance in (1e-8,) if quick else (1e-6, 1e-8, 1e-10):
+
+        def run(tolerance=tolerance):
+            batch = dj.continue_scenes(scenes, tolerance=tolerance)
+            return of_ramps(lanes, batch.ramps), None, {"unresolved": unresolved(batch.ramps)}
+
+        yield Entry("continuation", {"tolerance": tolerance, "batched": True}, lanes, run, rounds=2 if quick else 5)
     some = chambers.spread(lanes, 2 if quick else 8)
-    for tolerance in (1e-9,) if quick else (1e-6, 1e-9, 1e-12):
+    for tolerance in () if quick else (1e-6, 1e-9, 1e-12):
         yield Entry(
             "continuation",
             {"tolerance": tolerance, "batched": False, "extrapolated_from_lanes": len(some)},
             some,
-            lambda tolerance=tolerance: (continuation(some, tolerance), None, {}),
-            rounds=1 if quick else 2,
+            lambda tolerance=tolerance: (one_by_one(some, tolerance), None, {}),
+            rounds=2,
         )
+
+
+def unresolved(ramps: dj.Ramps) -> int:
+    """How many lanes the engine leaves to `voltage_volume`."""
+    return int((ramps.outcome == dj.Outcome.unresolved).sum())
 
 
 def of_ramps(lanes: list[float], ramps: dj.Ramps) -> dict[float, Found]:
@@ -164,8 +179,7 @@ def surface_entries(lanes, quick):
 
         def run(surface=surface):
             ramps = dj.chamber_ramps(surface, lanes, chambers.INITIAL_VOLUME)
-            unresolved = int((ramps.outcome == dj.Outcome.unresolved).sum())
-            return ramps, unresolved
+            return ramps, unresolved(ramps)
 
         yield Entry(
             "surface",
@@ -189,7 +203,7 @@ def resolved(surface, lanes):
     begin = time.perf_counter()
     ramps = dj.chamber_ramps(surface, lanes, chambers.INITIAL_VOLUME)
     rest = [c for c, outcome in zip(lanes, ramps.outcome, strict=True) if outcome == dj.Outcome.unresolved]
-    found = continuation(rest, 1e-9, surface=surface)
+    found = one_by_one(rest, 1e-9, surface=surface)
     seconds = time.perf_counter() - begin
     return of_ramps(lanes, ramps) | found, seconds, {"unresolved": 0, "by_voltage_volume": len(rest)}
 
