@@ -154,6 +154,14 @@ def assemble(crowd: Crowd, owner: np.ndarray, lines: Polylines, tolerance: float
     sets, belongs = np.concatenate(sets), np.concatenate(belongs)
     met = _meet_places(crowd, owner, lines, places, np.concatenate(targets), np.concatenate(kinds), tolerance)
     doubt[places.line[~met.ok]] = True
+    # the load of a crossing is as wrong as its fold's, and where q hardly changes along the branch the place is vague
+    vague = np.maximum(np.abs(met.u[:, 2]), 1e-3) * met.error
+    crossing = sets == 2
+    of = folds.met
+    vague[crossing] += (of.error * np.maximum(np.abs(of.u[:, 2]), 1e-3))[belongs[crossing]]
+    with np.errstate(all="ignore"):
+        far = np.abs(met.volume_rate / (met.tangent[:, 2] * SCALE[2])) * vague / np.maximum(np.abs(met.volume), 1e-3)
+    met = met._replace(spread=np.where(sets == 1, 0.0, far))
     events = Events(places.line, places.position, met, belongs)
     kept = [events.take(np.flatnonzero(met.ok & (sets == k))) for k in range(3)]
     kept[0].met.u[:, 2] = 0.0

@@ -39,6 +39,7 @@ _LINE = 40  # stretches of the line of states at zero voltage
 _TRACE_STEPS, _TOPS = (7.0, 24.0), ((0.7, 0.85), (0.82, 0.97))
 _LENGTHS = np.array([2e-5, 2.0, 1.0])
 _MOST_POINTS = 120
+_DENSE = 16  # points on an interval of a line, closer than the cells of the scan
 _EVERY = 3  # node of the scan is enough to see another branch
 
 
@@ -274,7 +275,7 @@ def _elsewhere(scenes: list[Scene], crowd: Crowd, lines: Polylines) -> np.ndarra
         sign = value < 0
         corners = [(slice(None), slice(a, a - 1 or None), slice(b, b - 1 or None)) for a in (0, 1) for b in (0, 1)]
         change = ~(sum(sign[c].astype(int) for c in corners) % 4 == 0) & np.all([known[c] for c in corners], axis=0)
-        dense = lines.take(own).dense(6) * SCALE
+        dense = lines.take(own).dense(_DENSE) * SCALE
         line, _ = np.nonzero(np.isfinite(dense[..., 0]))
         x = dense[np.isfinite(dense[..., 0])]
         limit = np.interp(x[:, 0], chart.apex_stretch, chart.largest_load)
@@ -309,6 +310,7 @@ def _block(scenes: list[Scene], tolerance: float) -> Batch:
     box[:, 0] += 1e-8 * (box[:, 1] - box[:, 0])
     march = _March(crowd, box, np.arange(len(scenes)))
     heading = np.tile([0.0, 0.0, 1.0], (len(scenes), 1))
+    march.code[np.isnan(start.u[:, 0])] = int(Code.no_equilibrium)
     march.run(np.where(start.ok[:, None], start.u, np.nan), heading)
     most = max(int(march.count.max()), 2)
     lines = Polylines(march.points[:, :most], march.tangents[:, :most], march.count)

@@ -140,8 +140,8 @@ class Polylines:
         return row, Places(lines[row], i, share)
 
     def dense(self, most: int) -> np.ndarray:
-        """`most` points on every interval, (lines, intervals × most, 3); NaN where there is none."""
-        shares = np.arange(most) / most
+        """`most` points on every interval, its end included, (lines, intervals × most, 3); NaN where there is none."""
+        shares = np.arange(1, most + 1) / most
         x, t = self.points, self.tangents
         gap = self.lengths[..., None]
         parts = [hermite(x[:, :-1], x[:, 1:], t[:, :-1], t[:, 1:], gap, s) for s in shares]

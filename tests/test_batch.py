@@ -52,7 +52,9 @@ def test_every_eighth_chamber_of_the_references():
     for i, volume in enumerate(some):
         of = {kind: [row[1:] for row in truth[volume] if row[0] == kind] for kind, _, _ in truth[volume]}
         folds = batch.ramps.folds
-        assert len(finite(folds.volume[i])) == len(of.get("fold", []))
+        # the references end at breakdown, ours at a load higher than any before
+        before = finite(folds.volume[i][folds.volume[i] < of["breakdown"][0][1]])
+        assert len(before) == len(of.get("fold", []))
         for k, (q, v) in enumerate(of.get("fold", [])):
             if q > 0:
                 assert abs(folds.voltage[i, k] - math.sqrt(q)) < 1e-8
@@ -80,7 +82,7 @@ def test_lanes_do_not_disturb_each_other():
         chamber(800.0),
         chamber(1600.0, 1e4),  # more than the membrane holds
         chamber(484.05),
-        dj.Scene(FILM, dj.ConstantPressure(3.0)),  # above the peak
+        dj.Scene(FILM, dj.ConstantPressure(1e5)),  # more than it bears
         chamber(1000.0, 20.0, other),
         dj.Scene(FILM, dj.ConstantPressure(1.82)),
         chamber(1e-3),
@@ -145,7 +147,7 @@ def sine_lines(count):
 
 def test_turns_and_crossings_of_known_curves():
     """Turning points of sine and cosine at π/2, 3π/2 and π; zeros at π, and at π/2 and 3π/2."""
-    lines, _ = sine_lines(25)
+    lines, _ = sine_lines(49)
     turns, dips = lines.turns(2)
     at, tangent, bend = lines.at(turns)
     np.testing.assert_allclose(at[:, 0], [np.pi / 2, 3 * np.pi / 2, np.pi], atol=2e-4)
