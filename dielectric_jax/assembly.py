@@ -69,7 +69,7 @@ def _find_folds(crowd: Crowd, owner, lines: Polylines, tolerance: float):
     """
     doubt = np.zeros(len(owner), bool)
     inexact = np.ones(len(owner), bool)
-    done = Met.nothing(0), Places(*(np.zeros(0, int),) * 2, np.zeros(0))
+    done = Met.nothing(0), Places(np.zeros(0, int), np.zeros(0, int), np.zeros(0))
     todo = np.arange(len(owner))
     for _ in range(_LOOKS):
         turns, dips = lines.turns(2)
@@ -165,7 +165,7 @@ def assemble(crowd: Crowd, owner: np.ndarray, lines: Polylines, tolerance: float
     events = Events(places.line, places.position, met, belongs)
     kept = [events.take(np.flatnonzero(met.ok & (sets == k))) for k in range(3)]
     kept[0].met.u[:, 2] = 0.0
-    return Assembly(lines, folds, *kept, doubt)
+    return Assembly(lines, folds, kept[0], kept[1], kept[2], doubt)
 
 
 @dataclasses.dataclass
@@ -246,10 +246,10 @@ class _Ramp:
             if fold is None and broken is None:
                 return Outcome.unresolved
             at = [side * e.position[i] if i is not None else np.inf for e, i in ((of.folds, fold), (of.breaks, broken))]
-            if at[1] < at[0]:
+            if broken is not None and at[1] < at[0]:
                 self.tell(5, of.breaks.met, broken)
                 return self.down(line, position, side)
-            if stage == _SNAPS:
+            if stage == _SNAPS or fold is None:
                 return Outcome.unresolved
             self.tell(1 + stage, of.folds.met, fold)
             self.snaps += 1
@@ -306,7 +306,7 @@ def tell_ramps(of: Assembly, start: Met, breakdown_loads: np.ndarray, complete, 
     told = np.full((scenes, 5, _EVENTS), np.nan)
     outcome, snaps = np.full(scenes, int(Outcome.unresolved)), np.zeros(scenes, int)
     marks = [np.full((scenes, 5, count), np.nan) for count in _SPECIAL]
-    for k in np.flatnonzero(start.ok):
+    for k in np.flatnonzero(start.ok).tolist():
         if start.index[k] != 0:
             outcome[k] = int(Outcome.start_unstable)
             told[k, :, 0] = values_of(start, k)

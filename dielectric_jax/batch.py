@@ -39,7 +39,7 @@ _LINE = 40  # stretches of the line of states at zero voltage
 _TRACE_STEPS, _TOPS = (7.0, 24.0), ((0.7, 0.85), (0.82, 0.97))
 _LENGTHS = np.array([2e-5, 2.0, 1.0])
 _MOST_POINTS = 120
-_DENSE = 16  # points on an interval of a line, closer than the cells of the scan
+_DENSE = 16, 200  # points on an interval of a line, closer than the cells of the scan
 _EVERY = 3  # node of the scan is enough to see another branch
 
 
@@ -148,10 +148,12 @@ def _starts(scenes: list[Scene], crowd: Crowd, tolerance: float) -> Met:
         loading = scene.loading
         if isinstance(loading, ConstantPressure):
             targets[i] = float(loading.pressure)
+        elif not isinstance(loading, Chamber):
+            raise ValueError(f"`loading` must be a Chamber or a ConstantPressure, but is {loading!r}.")
         elif loading.initial_volume is not None:
             targets[i], kinds[i] = float(loading.initial_volume), VOLUME
         else:
-            targets[i] = float(loading.initial_pressure)
+            targets[i] = float(typing.cast(float, loading.initial_pressure))
     with np.errstate(all="ignore"):
         for key, own in by_membrane.items():
             own, line = np.array(own), _zero_line(key)
@@ -275,16 +277,18 @@ def _elsewhere(scenes: list[Scene], crowd: Crowd, lines: Polylines) -> np.ndarra
         sign = value < 0
         corners = [(slice(None), slice(a, a - 1 or None), slice(b, b - 1 or None)) for a in (0, 1) for b in (0, 1)]
         change = ~(sum(sign[c].astype(int) for c in corners) % 4 == 0) & np.all([known[c] for c in corners], axis=0)
-        dense = lines.take(own).dense(_DENSE) * SCALE
-        line, _ = np.nonzero(np.isfinite(dense[..., 0]))
-        x = dense[np.isfinite(dense[..., 0])]
-        limit = np.interp(x[:, 0], chart.apex_stretch, chart.largest_load)
-        i = np.clip(np.searchsorted(apex, x[:, 0]) - 1, 0, len(apex) - 2)
-        j = np.clip(np.searchsorted(t, x[:, 2] / limit) - 1, 0, len(t) - 2)
-        near = np.zeros_like(change)
-        for a, b in itertools.product((-1, 0, 1), repeat=2):
-            near[line, np.clip(i + a, 0, len(apex) - 2), np.clip(j + b, 0, len(t) - 2)] = True
-        found[own] = (change & below & ~near).any(axis=(1, 2))
+        away = change & below
+        for most in _DENSE:  # closer where cells are left, as rows of the scan crowd towards lock-up
+            which = np.flatnonzero(away.any(axis=(1, 2)))
+            dense = lines.take(own[which]).dense(most) * SCALE
+            there = np.isfinite(dense[..., 0])
+            line, x = which[np.nonzero(there)[0]], dense[there]
+            limit = np.interp(x[:, 0], chart.apex_stretch, chart.largest_load)
+            i = np.clip(np.searchsorted(apex, x[:, 0]) - 1, 0, len(apex) - 2)
+            j = np.clip(np.searchsorted(t, x[:, 2] / limit) - 1, 0, len(t) - 2)
+            for a, b in itertools.product((-1, 0, 1), repeat=2):
+                away[line, np.clip(i + a, 0, len(apex) - 2), np.clip(j + b, 0, len(t) - 2)] = False
+        found[own] = away.any(axis=(1, 2))
     return found
 
 
@@ -328,9 +332,9 @@ def _block(scenes: list[Scene], tolerance: float) -> Batch:
     columns = tell_ramps(found, start, at_crossings, *known)
     ends = lines.points[:, [0, 0], 0] * SCALE[0]
     ends[:, 1] = lines.points[np.arange(len(scenes)), np.maximum(march.count - 1, 0), 0] * SCALE[0]
-    told, *marks, snaps, outcome = columns
+    told, folds, zeros, breaks, snaps, outcome = columns
     landings = told[:, 0, 3:5]
     own = np.repeat(np.arange(len(scenes)), 2)
     loads = crowd.limits(np.nan_to_num(landings, nan=2.0).ravel(), own)[0].reshape(landings.shape)
-    ramps = ramps_of(lambda _: loads, told, *marks, snaps, outcome, ends)
+    ramps = ramps_of(lambda _: loads, told, folds, zeros, breaks, snaps, outcome, ends)
     return Batch(ramps, march.code, found.lines.points * SCALE)

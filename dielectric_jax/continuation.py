@@ -1,7 +1,7 @@
 """Pseudo-arclength continuation of residual(u, args) = 0 with n − 1 equations for n unknowns; knows no membrane.
 
-Predictor: the cubic through the last two points with their unit tangents (null vectors of the exact Jacobian, in scaled
-unknowns).
+Predictor: along the unit tangent (null vector of the exact Jacobian, in scaled unknowns), bent as between the last two, or
+the cubic through the last two points and tangents, which makes longer steps and is less forgiving of noise.
 Corrector: Newton on the residual bordered with the hyperplane through the prediction. `advance` is one pass with one
 linearisation, `trace` a loop of passes; so lanes under `vmap` never wait for another lane's Newton, and many lanes may be
 advanced a few passes at a time, those that have ended making room for others. A walk that has ended changes nothing.
@@ -34,7 +34,7 @@ class Steps:
     Argument `most_points` bounds the points a lane may hold (a shape, so it is compiled in); `largest`, `smallest` and
     `first` bound the step length, `most_turn` the angle between tangents of neighbours in radians, `most_correction` the
     distance between prediction and corrected point as a fraction of the step, `most_change` the change of a monitor,
-    `most_residual` the residual at which a last Newton step may begin.
+    `most_residual` the residual at which a last Newton step may begin. `cubic` takes the cubic predictor.
     """
 
     first: float = 0.1
@@ -46,6 +46,7 @@ class Steps:
     most_residual: float = math.inf
     tolerance: float = 1e-6
     most_points: int = 400
+    cubic: bool = False
 
     def __post_init__(self):
         for name in (
@@ -162,12 +163,12 @@ def _bordered(jacobian, value, normal, excess):
     return move, tangent / jnp.linalg.norm(tangent)
 
 
-def _bend(before, here, tangent_before, tangent):
-    """Second and third derivative by the arclength, at the second of two points, of the cubic through both."""
+def _bend(before, here, tangent_before, tangent, cubic):
+    """Second and third derivative by the arclength, at the second of two points, of the predictor through both."""
     length = jnp.linalg.norm(here - before)
     chord = (here - before) / length
-    second = (2 * tangent_before + 4 * tangent - 6 * chord) / length
-    return jnp.stack([second, 6 * (tangent_before + tangent - 2 * chord) / length**2])
+    second = jnp.where(cubic, 2 * tangent_before + 4 * tangent - 6 * chord, tangent - tangent_before) / length
+    return jnp.stack([second, jnp.where(cubic, 6 * (tangent_before + tangent - 2 * chord), 0.0) / length**2])
 
 
 def _predict(base, tangent, bend, step):
@@ -245,7 +246,7 @@ def advance(problem: Problem, s: Walk) -> tuple[Walk, Array]:
     base = jnp.where(accept, corrected, s.base)
     ahead = jnp.where(accept, tangent, s.tangent)
     # no bend from a step that was never taken
-    bend = jnp.where(first, 0.0, _bend(s.base, corrected, s.tangent, tangent))
+    bend = jnp.where(first, 0.0, _bend(s.base, corrected, s.tangent, tangent, steps.cubic))
     bend = jnp.where(accept, jnp.where(jnp.all(jnp.isfinite(bend)), bend, 0.0), s.bend)
     restart = accept | failing
     trial = jnp.where(restart, _predict(base, ahead, bend, step), corrected)

@@ -64,8 +64,8 @@ class Met(typing.NamedTuple):
         none = np.full(lanes, np.nan)
         three = np.full((lanes, 3), np.nan)
         index = np.full(lanes, -1)
-        numbers = three, *(none.copy() for _ in range(3)), three.copy(), none.copy()
-        return Met(*numbers, index, none + np.inf, none.copy(), index > 0)
+        numbers = {n: none.copy() for n in ("volume", "height", "charge_per_voltage", "volume_rate", "spread")}
+        return Met(u=three, tangent=three.copy(), index=index, error=none + np.inf, ok=index > 0, **numbers)
 
 
 # level of difficulty, steps of Newton, of the last residual, in the order in which they are tried

@@ -131,7 +131,9 @@ def index_of(zeros, jacobian, columns, volume, contour):
     return np.where(gain < 0, zeros - 1, zeros)
 
 
-def estimated_error(u, volume, jacobian, columns, change, change_of_volume, by_v, rim, chord=0.0) -> np.ndarray:
+def estimated_error(
+    u, volume, jacobian, columns, change, change_of_volume, by_v, rim, chord: float | np.ndarray = 0.0
+) -> np.ndarray:
     """Estimate of the largest relative error of p, V and q at fixed λa, (lanes,), never below `LEAST_ESTIMATE`.
 
     Of states u (3, lanes) from what the residuals (lanes, 2) and V changed by when the steps were halved last, the Jacobian

@@ -4,6 +4,8 @@
 at breakdown, and folds. What lanes share is the number of steps, so lanes that need another grid go through another call.
 """
 
+import typing
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -32,7 +34,14 @@ LEVEL, VOLUME, BREAKDOWN, FOLD = range(4)  # row·u = target; V = target; q = q_
 _PASSES = 4
 _APART = 1e-5  # of points whose tangents tell how fast q turns
 _STEPS = Steps(
-    first=0.1, largest=2.0, smallest=2e-5, most_turn=0.5, most_correction=0.2, tolerance=1e-4, most_residual=0.1
+    first=0.1,
+    largest=2.0,
+    smallest=2e-5,
+    most_turn=0.5,
+    most_correction=0.2,
+    tolerance=1e-4,
+    most_residual=0.1,
+    cubic=True,
 )
 _SCALE = SCALE[:, None]
 
@@ -45,7 +54,8 @@ def new_walks(u: np.ndarray, headings: np.ndarray) -> Walk:
     places = {"base": at, "trial": at, "origin": at, "tangent": way, "heading": way, "bend": np.zeros((lanes, 2, 3))}
     numbers = {"step": np.zeros(lanes), "last": np.full(lanes, np.inf), "watched": np.zeros((lanes, 1))}
     counts = {name: np.zeros(lanes, int) for name in ("tries", "count", "code", "evaluations")}
-    return Walk(**{name: value.copy() for name, value in (places | numbers | counts).items()})
+    copies: dict[str, typing.Any] = {name: value.copy() for name, value in (places | numbers | counts).items()}
+    return Walk(**copies)
 
 
 @kept_jit
@@ -146,7 +156,7 @@ def meet_program(membrane, contour, u, tangents, slopes, rows, targets, kinds, r
 
     def newton(_, state):
         u, tangent, (slope, last_apart, _), last_u, last_g = state[:5]
-        shot = integrate_membrane(membrane.material, *u, coarse, columns=COLUMNS, trail="sensitivity")
+        shot = integrate_membrane(membrane.material, u[0], u[1], u[2], coarse, columns=COLUMNS, trail="sensitivity")
         value, jacobian, columns = _system(membrane, contour, u, shot)
         tangent = _null(jacobian, tangent)
         apart = jnp.sum((u - last_u) / _SCALE * tangent, axis=0)
@@ -157,7 +167,7 @@ def meet_program(membrane, contour, u, tangents, slopes, rows, targets, kinds, r
         known = jnp.where(fair, jnp.stack([secant, apart, doubt]), state[2])
         g, gradient = goal(u, shot.volume, columns)
         g, gradient = jnp.where(kinds == FOLD, tangent[2] / known[0], g), jnp.where(kinds == FOLD, tangent, gradient)
-        move = -_solve3(*jacobian, gradient, jnp.concatenate([value, g[None]]))
+        move = -_solve3(jacobian[0], jacobian[1], gradient, jnp.concatenate([value, g[None]]))
         volume = shot.volume + jnp.sum(columns[:, 1] * move * _SCALE, axis=0)
         matrix = jnp.concatenate([jacobian, gradient[None]])
         return u + move * _SCALE, tangent, known, u, tangent[2], move, matrix, columns, volume, _zeros(shot.trail)
@@ -168,7 +178,7 @@ def meet_program(membrane, contour, u, tangents, slopes, rows, targets, kinds, r
     begin = u, tangents, known, u, jnp.full(lanes, jnp.nan), *nothing, jnp.zeros(lanes), jnp.zeros(lanes, int)
     state = jax.lax.fori_loop(0, rounds, newton, begin)
     u, (move, matrix, columns, volume, zeros) = state[0], state[5:]
-    shot = integrate_membrane(membrane.material, *u, fine, outputs=True)
+    shot = integrate_membrane(membrane.material, u[0], u[1], u[2], fine, outputs=True)
     g = jnp.where(kinds == FOLD, 0.0, goal(u, shot.volume, columns)[0])
     lag = shot.lag - (membrane.prestretch - u[0])
     residual = jnp.stack([lag, contour.residual(u[1], shot.volume, u[2]), g])

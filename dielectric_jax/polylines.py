@@ -92,7 +92,8 @@ class Polylines:
             hidden &= np.isfinite(gap)
         found = [np.nonzero(which) for which in (once, hidden)]
         share = np.clip(np.nan_to_num(share, nan=0.5), 0.0, 1.0)
-        return tuple(Places(*where, s[where]) for where, s in zip(found, (share, dip), strict=True))  # pyright: ignore[reportReturnType]
+        turning, dipping = (Places(w[0], w[1], s[w]) for w, s in zip(found, (share, dip), strict=True))
+        return turning, dipping
 
     def insert(self, places: Places, points: np.ndarray, tangents: np.ndarray) -> tuple["Polylines", np.ndarray]:
         """The lines with more points on their intervals, and where each old point went, (lines, points)."""
@@ -113,7 +114,7 @@ class Polylines:
             np.put_along_axis(whole, index[..., None], old, axis=1)
             whole[line, own] = new[order]
             out.append(whole)
-        return Polylines(*out, self.count + added), index
+        return Polylines(out[0], out[1], self.count + added), index
 
     def crossings(self, values: np.ndarray, rates: np.ndarray, lines: np.ndarray) -> tuple[np.ndarray, Places]:
         """Where functions along `lines` change sign: rows, and places at the root of the cubic on the interval.
@@ -145,4 +146,4 @@ class Polylines:
         x, t = self.points, self.tangents
         gap = self.lengths[..., None]
         parts = [hermite(x[:, :-1], x[:, 1:], t[:, :-1], t[:, 1:], gap, s) for s in shares]
-        return np.stack(parts, axis=2).reshape(len(x), -1, 3)
+        return np.stack(parts, axis=2).reshape(len(x), most * (x.shape[1] - 1), 3)
