@@ -134,15 +134,16 @@ def one_membrane(membrane, count: int, random, records: list) -> dict:
     for ramps, part in done:
         unresolved += int((ramps.outcome == Outcome.unresolved).sum())
         for i in np.flatnonzero(ramps.outcome != Outcome.unresolved):
+            scene = dj.Scene(membrane, part[i])
             begin = time.perf_counter()
-            diagram = dj.voltage_volume(dj.Scene(membrane, part[i]))
+            diagram = dj.voltage_volume(scene)
             spent += time.perf_counter() - begin
             apart, missing = difference(ramps, i, diagram)
             compared += 1
             worst = max(worst, apart)
             if missing or apart > ALLOWED:
                 told = {"difference": apart, "missing": missing, "reason": diagram.area_strain_reason}
-                told |= {"membrane": repr(membrane), "loading": repr(part[i])}
+                told |= {"scene": dj.describe(scene)}
                 records.append(told | {"outcome": Outcome(int(ramps.outcome[i])).name, "complete": diagram.complete})
     return {
         "prestretch": float(membrane.prestretch),
