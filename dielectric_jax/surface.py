@@ -73,6 +73,10 @@ class Surface(eqx.Module):
     `coefficients` (elements, 5, 16, 20) their polynomials, `errors` (elements,) the largest relative error seen at fresh
     states. Build one with `Surface.build`.
 
+    Its numbers are differentiable to any order by λa, q and t, but they belong to one material. By a constant m of the
+    material the implicit rule at the shot tells them: at fixed (λa, q) the rim condition lag(λa, p, q; m) = λ0 − λa gives
+    dp/dm = −(∂lag/∂m)/(∂lag/∂p), and dV/dm = ∂V/∂m + (∂V/∂p) dp/dm, all four from `shoot`; or build surfaces anew.
+
     >>> import jax
     >>> surface = Surface.build(Membrane(), tolerance=1e-9)
     >>> state = surface(2.26310592942, 0.0)

@@ -98,6 +98,29 @@ def test_domain_and_breakdown_curve(surface):
     assert np.isnan(float(surface(2.0, -0.01).charge)) and float(surface(2.0, 0.0).charge) == 0
 
 
+def test_material_derivatives_by_the_implicit_rule_and_by_rebuilding(surface):
+    """dp/dJ and dV/dJ at fixed (λa, q): the rule of the docstring, differences of the explicit map, of other surfaces."""
+    step = 0.5
+    others = [dj.Surface.build(dj.Membrane(dj.Gent(270.0 + d)), cache=False) for d in (-step, step)]
+    for apex, q in ((2.4, 0.005), (6.0, 0.01), (9.5, 0.003)):
+        state = surface(apex, q)
+
+        def shot(limit, pressure, apex=apex, q=q):
+            rim = dj.shoot(dj.Gent(limit), apex, pressure, q, steps=64.0)
+            return jnp.stack([rim.lag, rim.volume])
+
+        by_limit, by_pressure = jax.jacfwd(shot, argnums=(0, 1))(270.0, state.pressure)
+        pressure_rate = -by_limit[0] / by_pressure[0]
+        volume_rate = by_limit[1] + by_pressure[1] * pressure_rate
+        mapped = [dj.explicit_map(dj.Gent(270.0 + d), apex, q, 1.0, 128.0) for d in (-step, step)]
+        rebuilt = [(o(apex, q).pressure, o(apex, q).volume) for o in others]
+        for pair in (mapped, rebuilt):
+            for k, (rate, value) in enumerate(((pressure_rate, state.pressure), (volume_rate, state.volume))):
+                # both ends are right to 1e-9; the step's own error is (step/distance of J to lock-up)², up to 3e-5 here
+                by_difference = float(pair[1][k] - pair[0][k]) / (2 * step)
+                assert abs(by_difference - rate) < 2e-9 / (2 * step) * abs(value) + 1e-4 * abs(rate)
+
+
 def test_file(surface, tmp_path):
     path = tmp_path / "surface.npz"
     surface.save(path)
