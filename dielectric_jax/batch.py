@@ -60,7 +60,8 @@ class Batch(typing.NamedTuple):
 def continue_scenes(scenes: Sequence[Scene], *, tolerance: float = 1e-8) -> Batch:
     """Voltage–volume diagrams of many scenes from zero voltage to breakdown: branch, special points and ramp of each.
 
-    The scenes may differ in everything: membrane, chamber, filling, pressure. What a lane's continuation does not decide has
+    The scenes may differ in everything: membrane, chamber, filling, pressure; each membrane is scanned once for other
+    branches, which takes some tenths of a second, a scene of a known one milliseconds. What a lane's continuation does not decide has
     outcome `Outcome.unresolved`, NaN, and a `code`; `voltage_volume` decides it. Raises ValueError for bad input.
 
     >>> from dielectric_jax import Chamber, Membrane

@@ -7,6 +7,7 @@ Hermite interpolant of every event function is searched for a hidden pair of roo
 """
 
 import collections
+import threading
 
 import jax
 import numpy as np
@@ -30,18 +31,20 @@ _THIN = 3  # every third vertex of a contour is close enough to its neighbours
 _DEAR = 0.6  # load fraction near lock-up from which continuation takes most of its time
 
 _scans: collections.OrderedDict = collections.OrderedDict()
+_scanning = threading.Lock()
 
 
 def cached_scan(membrane: Membrane, stretches, loads) -> Scan:
     """The scan of a membrane; the last sixteen are kept in memory."""
     leaves, tree = jax.tree.flatten(membrane)
     key = (tree, tuple(np.asarray(v).tobytes() for v in leaves), stretches, loads)
-    if key not in _scans:
-        _scans[key] = scan(membrane, stretches, loads)
-        while len(_scans) > 16:
-            _scans.popitem(last=False)
-    _scans.move_to_end(key)
-    return _scans[key]
+    with _scanning:  # batches ask from several threads
+        if key not in _scans:
+            _scans[key] = scan(membrane, stretches, loads)
+            while len(_scans) > 16:
+                _scans.popitem(last=False)
+        _scans.move_to_end(key)
+        return _scans[key]
 
 
 def _on_chart(membrane: Membrane, u: np.ndarray) -> np.ndarray:
