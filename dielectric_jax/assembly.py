@@ -182,6 +182,7 @@ class Assembly:
 
 _EVENTS = 11  # start, two snaps, two landings, breakdown, two snap-backs and their two landings, rest
 _SNAPS = 2
+_AMBIGUOUS = 1e-6  # a landing this near to breakdown is not told
 _SWING = 0.5  # of the first swing: by so much do all later ones stay below it
 _SPECIAL = (6, 5, 3)  # folds, zeros, breakdowns that are told
 
@@ -198,7 +199,7 @@ class _Ramp:
         self.of, self.lists, self.breakdown_load = of, lists, breakdown_load
         self.main, self.cone = main, cone
         self.told = np.full((5, _EVENTS), np.nan)
-        self.snaps, self.decided = 0, True
+        self.snaps = 0
 
     def next(self, kind: str, line: int, position: float, side: int):
         """The next event of a kind along a line, or None: its index."""
@@ -257,7 +258,10 @@ class _Ramp:
             if landing is None:
                 return Outcome.no_unbroken_landing if self.calms_below(line, fold, side) else Outcome.unresolved
             self.tell(3 + stage, of.crossings.met, landing)
-            if of.folds.met.u[fold, 2] >= self.breakdown_load(landing):
+            load, limit = of.folds.met.u[fold, 2], self.breakdown_load(landing)
+            if abs(load - limit) <= _AMBIGUOUS * limit:
+                return Outcome.unresolved
+            if load >= limit:
                 return Outcome.breakdown_in_snap
             line, position = int(of.crossings.line[landing]), float(of.crossings.position[landing])
             side = 1 if of.crossings.met.tangent[landing, 2] > 0 else -1
@@ -293,8 +297,8 @@ class _Ramp:
 def tell_ramps(of: Assembly, start: Met, breakdown_loads: np.ndarray, complete, alone, cone):
     """Columns of `ensemble.ramps_of` for scenes whose branch from the start is line 0, 1, …
 
-    `breakdown_loads` are q_b at the crossings, `complete` says of which scenes the line is known, `alone` where no other branch lies below breakdown, `cone` whose line
-    ends near the cone.
+    `breakdown_loads` are q_b at the crossings, `complete` says of which scenes the line is known, `alone` where no other
+    branch lies below breakdown, `cone` whose line ends near the cone.
     """
     scenes = len(complete)
     lists: dict = {kind: {} for kind in ("folds", "zeros", "breaks", "of_fold")}

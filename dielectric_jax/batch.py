@@ -49,7 +49,7 @@ class Batch(typing.NamedTuple):
     `ramps` as from `chamber_ramps`, but the places of folds are less exact than their loads: the error of a `Point` holds
     both. `code` (scenes,) says why the continuation from the start ended: `Code.breakdown`, or `Code.apex_cone` where the
     load swings towards a limit below breakdown. `branches` (scenes, points, 3) holds λa, p, q of that branch, NaN after its
-    end: the start and the folds exact, between them traced points, right to about 1e-3.
+    end: the start and the folds exact, between them traced points on a coarse grid, good enough to draw.
     """
 
     ramps: Ramps
@@ -204,7 +204,6 @@ class _March:
         self.points, self.tangents = (np.full((lines, _MOST_POINTS, 3), np.nan) for _ in range(2))
         self.count = np.zeros(lines, int)
         self.code = np.full(lines, int(Code.not_converged))
-        self.evaluations = np.zeros(lines, int)
 
     def run(self, u: np.ndarray, headings: np.ndarray) -> None:
         """Follows every line from u (lines, 3) towards `headings`, on finer grids where a coarse one ends."""
@@ -230,6 +229,9 @@ class _March:
             u, headings = u.copy(), headings.copy()
             u[again], headings[again] = self.points[again, last] * SCALE, self.tangents[again, last] * SCALE
             self.count[again] -= 1
+        # what a coarser grid met further on is not part of the line
+        beyond = np.arange(_MOST_POINTS) >= self.count[:, None]
+        self.points[beyond], self.tangents[beyond] = np.nan, np.nan
 
     def _advance(self, now, walk, peak, steps, tops) -> None:
         lanes, count = padded(now), len(now)

@@ -44,14 +44,12 @@ def padded(which: np.ndarray) -> np.ndarray:
 class Met(typing.NamedTuple):
     """Exact points of many lanes, arrays (lanes, …); `ok` says whether Newton met them and the estimate its tolerance.
 
-    `error` is that of p, V, q at fixed λa; `spread` the relative error of V that comes of not knowing where on its branch a
-    fold lies, the square of which is in the error of its q.
+    `error` is that of p, V, q at fixed λa; `spread` the relative error of V that comes of not knowing where on its branch an
+    event lies; of a fold its square is in the error of q.
     """
 
     u: np.ndarray
     volume: np.ndarray
-    height: np.ndarray
-    charge_per_voltage: np.ndarray
     tangent: np.ndarray
     volume_rate: np.ndarray
     index: np.ndarray
@@ -64,7 +62,7 @@ class Met(typing.NamedTuple):
         none = np.full(lanes, np.nan)
         three = np.full((lanes, 3), np.nan)
         index = np.full(lanes, -1)
-        numbers = {n: none.copy() for n in ("volume", "height", "charge_per_voltage", "volume_rate", "spread")}
+        numbers = {n: none.copy() for n in ("volume", "volume_rate", "spread")}
         return Met(u=three, tangent=three.copy(), index=index, error=none + np.inf, ok=index > 0, **numbers)
 
 
@@ -92,10 +90,6 @@ class Crowd:
     membrane: Membrane
     contour: Contour
     locks_from: np.ndarray
-
-    def take(self, which) -> "Crowd":
-        """The scenes `which`."""
-        return Crowd(pick(self.membrane, which), pick(self.contour, which), self.locks_from[which])
 
     def limits(self, apex: np.ndarray, which: np.ndarray) -> np.ndarray:
         """Breakdown load at the apex, its slope, and the largest load (3, points) at stretches of scenes `which`."""
@@ -176,7 +170,7 @@ class Crowd:
         # the method is of order eight: what the residual changed by tells the error left on the finer grid
         left = (2 * coarse / fine) ** 8
         flat = jax.tree.map(lambda v: np.asarray(v)[..., :count], found)
-        at, move, residual, (volume, height, charge), matrix, columns, before, zeros, (slope, _, doubt) = flat
+        at, move, residual, volume, matrix, columns, before, zeros, (slope, _, doubt) = flat
         matrix = np.moveaxis(matrix, -1, 0)
         with np.errstate(all="ignore"):
             good = np.isfinite(matrix).all(axis=(1, 2)) & (np.abs(np.linalg.det(np.nan_to_num(matrix))) > 1e-300)
@@ -205,6 +199,6 @@ class Crowd:
             settled &= np.isfinite(moved).all(axis=1) & np.isfinite(error)
         u[now] = moved
         index = index_of(zeros.copy(), jacobian, columns, volume, contour)
-        parts = moved, volume, height, charge, null, rate, index, error, spread, settled
+        parts = moved, volume, null, rate, index, error, spread, settled
         for store, values in zip(met, parts, strict=True):
             store[now] = values

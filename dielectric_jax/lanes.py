@@ -110,24 +110,25 @@ def _null(jacobian, before):
     return null * jnp.where(jnp.sum(null * before, axis=0) < 0, -1.0, 1.0)
 
 
-def _excess_load(membrane, u):
-    """q − q_b(λa) and its gradient in scaled unknowns: where the apex breaks down."""
+def _breakdown_load(membrane, apex):
+    """q_b(λa), at which the apex breaks down, and its slope."""
 
     def of(apex):
-        return -1.0 / field_ratio_squared(membrane.breakdown, apex, apex)
+        return 1.0 / field_ratio_squared(membrane.breakdown, apex, apex)
 
-    value, rate = jax.jvp(of, (u[0],), (jnp.ones_like(u[0]),))
-    return u[2] + value, jnp.stack([rate, jnp.zeros_like(rate), jnp.ones_like(rate)]) * _SCALE
+    return jax.jvp(of, (apex,), (jnp.ones_like(apex),))
+
+
+def _excess_load(membrane, u):
+    """q − q_b(λa) and its gradient in scaled unknowns: where the apex breaks down."""
+    limit, rate = _breakdown_load(membrane, u[0])
+    return u[2] - limit, jnp.stack([-rate, jnp.zeros_like(rate), jnp.ones_like(rate)]) * _SCALE
 
 
 @kept_jit
 def limits_program(membrane, apex):
     """q of breakdown at the apex, its slope by λa, and the largest load, at stretches (lanes,)."""
-
-    def of(apex):
-        return 1.0 / field_ratio_squared(membrane.breakdown, apex, apex)
-
-    return *jax.jvp(of, (apex,), (jnp.ones_like(apex),)), largest_load(membrane.material, apex)
+    return *_breakdown_load(membrane, apex), largest_load(membrane.material, apex)
 
 
 def _zeros(trail):
@@ -143,7 +144,7 @@ def meet_program(membrane, contour, u, tangents, slopes, rows, targets, kinds, r
 
     Newton on the coarse grid, `rounds` times, then the residuals on the fine one. At a fold the moves along the tangent
     follow a secant that begins with the `slopes` d(dq)/ds. Returns u after Newton, its last move in scaled unknowns, the
-    residuals (3, lanes; 0 in the last row of a fold) and V, height and C = Q/Φ on the fine grid, the Jacobian (3, 3, lanes)
+    residuals (3, lanes; 0 in the last row of a fold) and V on the fine grid, the Jacobian (3, 3, lanes)
     in scaled unknowns, the columns (3, 2, lanes), V on the coarse grid, zeros of the sensitivity, and of folds the slope,
     the distance of the points of the secant, and the share by which it may be wrong.
     """
@@ -178,8 +179,8 @@ def meet_program(membrane, contour, u, tangents, slopes, rows, targets, kinds, r
     begin = u, tangents, known, u, jnp.full(lanes, jnp.nan), *nothing, jnp.zeros(lanes), jnp.zeros(lanes, int)
     state = jax.lax.fori_loop(0, rounds, newton, begin)
     u, (move, matrix, columns, volume, zeros) = state[0], state[5:]
-    shot = integrate_membrane(membrane.material, u[0], u[1], u[2], fine, outputs=True)
+    shot = integrate_membrane(membrane.material, u[0], u[1], u[2], fine)
     g = jnp.where(kinds == FOLD, 0.0, goal(u, shot.volume, columns)[0])
     lag = shot.lag - (membrane.prestretch - u[0])
     residual = jnp.stack([lag, contour.residual(u[1], shot.volume, u[2]), g])
-    return u, move, residual, (shot.volume, shot.height, shot.charge), matrix, columns, volume, zeros, state[2]
+    return u, move, residual, shot.volume, matrix, columns, volume, zeros, state[2]

@@ -169,3 +169,18 @@ def test_points_are_put_where_they_belong():
         x = more.points[line, : more.count[line], 0]
         assert (np.diff(x) > 0).all()
         np.testing.assert_array_equal(x[moved[line]], s)
+
+
+def test_a_line_that_goes_on_on_a_finer_grid_keeps_nothing_of_the_coarser():
+    """Towards the cone a line is begun again on a finer grid: its points are in order, no gap, NaN after its end."""
+    batch = continue_scenes([chamber(1000.0, 0.5), chamber(20.0, 1.0), chamber(1600.0)])
+    assert list(batch.code) == [dj.Code.apex_cone, dj.Code.apex_cone, dj.Code.breakdown]
+    for line in batch.branches:
+        there = np.isfinite(line[:, 0])
+        count = int(there.sum())
+        assert count > 10 and there[:count].all()
+        chords = np.diff(line[:count] / [1.0, 0.2, 0.02], axis=0)
+        length = np.linalg.norm(chords, axis=1)
+        assert 0 < length.min() and length.max() < 2.1
+        # towards the cone the load swings ever less: neighbouring chords do not turn back
+        assert ((chords[1:] * chords[:-1]).sum(axis=1) > 0).all()
