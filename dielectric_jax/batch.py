@@ -76,6 +76,8 @@ def continue_scenes(scenes: Sequence[Scene], *, tolerance: float = 1e-8) -> Batc
             raise ValueError(f"`scenes` must be scenes with a Chamber or a ConstantPressure, but one is {scene!r}.")
     if not scenes:
         raise ValueError("`scenes` must hold at least one scene, but is empty.")
+    for membrane in {ByLeaves.of(s.membrane) for s in scenes}:
+        membrane.membrane.check_breaks_at_apex()
     groups: dict = {}
     for i, scene in enumerate(scenes):
         groups.setdefault(jax.tree.structure(scene.membrane), []).append(i)

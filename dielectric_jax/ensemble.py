@@ -203,6 +203,7 @@ def _chambers(surface, chamber_volume, initial_volume, atmospheric_pressure, pol
 def _columns(surface, given: dict) -> list[np.ndarray]:
     if not isinstance(surface, Surface):
         raise ValueError(f"`surface` must be a Surface, but is a {type(surface).__name__}.")
+    surface.membrane.check_breaks_at_apex()
     columns = dict(zip(given, np.broadcast_arrays(*(np.asarray(v, float) for v in given.values())), strict=True))
     for name, values in columns.items():
         if not values.size:

@@ -69,6 +69,20 @@ class Membrane(eqx.Module):
         """The largest apex stretch of the default window, and whether it is a lock-up."""
         return self.material.lock_up_stretch(float(self.prestretch))
 
+    def check_breaks_at_apex(self) -> None:
+        """Refuses a breakdown law under which a place other than the apex may be the first to break.
+
+        The apex has the largest λ1 λ2, and is the first where λ²/E_EB(λ) does not fall with λ in the window.
+        """
+        stretch = np.linspace(float(self.prestretch), self.lock_up_stretch()[0], 400)
+        ratio = stretch**2 / np.asarray(self.breakdown.field(jnp.asarray(stretch)))
+        falls = np.flatnonzero(~(np.diff(ratio) >= -1e-12 * ratio[1:]))
+        if falls.size:
+            raise ValueError(
+                "`breakdown` must be a law E_EB(λ) under which λ²/E_EB does not fall, so that the apex breaks first, "
+                f"but at λ = {stretch[falls[0]]:.6g} it falls; `voltage_volume` looks at the whole membrane."
+            )
+
     def largest_load(self, apex_stretch):
         """q_max(λa), see `materials.largest_load`."""
         return largest_load(self.material, apex_stretch)

@@ -24,6 +24,7 @@ __all__ = ["equilibrium", "filling", "flat_state", "states_of"]
 
 
 _MOST_ERROR = 1e-3  # the loosest tolerance: what is farther off is no state
+_FLATTEST = 4e-11  # of λa − λ0, and of λ0 − 1
 _CONE = 3e-4  # 1 − t up to which states are sought; folds towards the cone are a factor of 3.6 apart
 
 
@@ -223,7 +224,9 @@ def equilibrium(
     vague = False
     for result in met:
         for state in states_of(result.take(np.flatnonzero(result.ok)), tolerance):
-            if not state.error_estimate <= _MOST_ERROR:
+            # an unstretched film's tension comes from λa − λ0 alone, which rounding leaves no digits of
+            unstretched = prestretch - 1 < _FLATTEST and state.apex_stretch - prestretch < _FLATTEST
+            if unstretched or not state.error_estimate <= _MOST_ERROR:
                 vague = True
             elif not any(_same(state, other) for other in states):
                 states.append(state)

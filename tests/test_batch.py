@@ -127,6 +127,42 @@ def test_single_diagrams_of_random_scenes():
         np.testing.assert_allclose(finite(ramps.snap.voltage[i]), snaps, rtol=1e-8)
 
 
+def test_every_kind_of_chamber_and_breakdown_law():
+    """Filling given by a pressure, a polytropic gas, thin outside air, a user's breakdown law: as single diagrams tell."""
+    strong = dj.Membrane(breakdown=dj.CustomBreakdown(lambda stretch: 1.2 * stretch**0.9))
+    weak = dj.Membrane(breakdown=dj.ConstantBreakdown(4.0))
+    loadings = [
+        dj.Chamber(volume=1200.0, initial_pressure=1.85),
+        dj.Chamber(volume=900.0, initial_volume=2.2, polytropic_exponent=1.4),
+        dj.Chamber(volume=300.0, initial_volume=2.5, atmospheric_pressure=8.0),
+    ]
+    scenes = [dj.Scene(FILM, x) for x in loadings] + [chamber(1600.0, 2.42, m) for m in (strong, weak)]
+    ramps = continue_scenes(scenes).ramps
+    assert (ramps.outcome != Outcome.unresolved).all()
+    for i, scene in enumerate(scenes):
+        events = dj.voltage_volume(scene).ramp().events
+        for name in ("snap", "landing"):
+            alone = [e.state for e in events if e.event == name]
+            points = getattr(ramps, name)
+            np.testing.assert_allclose(finite(points.voltage[i]), [s.voltage for s in alone], rtol=1e-8)
+        broken = [e.state.voltage for e in events if e.event == "breakdown"]
+        if ramps.outcome[i] == Outcome.breakdown_on_branch:
+            np.testing.assert_allclose(ramps.breakdown.voltage[i], broken, rtol=1e-8)
+
+
+def test_a_law_under_which_another_place_breaks_first_is_refused():
+    """λ²/E_EB falls where the law rises faster than λ²: the rim, stretched less than the apex, breaks first."""
+    steep = dj.Membrane(breakdown=dj.CustomBreakdown(lambda stretch: 0.05 * stretch**2.5))
+    with pytest.raises(ValueError, match="`breakdown` must be a law"):
+        continue_scenes([chamber(800.0), chamber(800.0, 2.42, steep)])
+    diagram = dj.voltage_volume(chamber(800.0, 2.42, steep))
+    broken = [p for p in diagram.special_points if p.kind == "breakdown"]
+    for point in broken:  # E/E_EB = 1 somewhere, but less at the apex
+        apex = point.voltage * point.apex_stretch**2 / (0.05 * point.apex_stretch**2.5)
+        assert abs(point.breakdown_ratio - 1) < 1e-8 and apex < 0.999
+    assert broken
+
+
 def test_bad_input_is_refused():
     with pytest.raises(ValueError, match="`scenes` must hold at least one"):
         continue_scenes([])
