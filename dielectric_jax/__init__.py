@@ -7,6 +7,7 @@ __version__ = "0.1.0"
 
 _ROOMS = {
     "results": ("Code", "SceneError"),
+    "units": ("VHB_4910", "Units"),
     "records": ("Branch", "Event", "Ramp", "SpecialPoint", "State"),
     "materials": (
         "ArrudaBoyce",
@@ -18,7 +19,7 @@ _ROOMS = {
         "VHBBreakdown",
         "stresses",
     ),
-    "membrane": ("Membrane", "Profile"),
+    "membrane": ("Membrane", "Profile", "vhb_4910"),
     "loading": ("Chamber", "ConstantPressure", "ConstantVoltage"),
     "scene": ("PARAMETERS", "Scene", "Window", "describe"),
     "shooting": ("shoot",),
@@ -56,7 +57,7 @@ if typing.TYPE_CHECKING:
         VHBBreakdown,
         stresses,
     )
-    from .membrane import Membrane, Profile
+    from .membrane import Membrane, Profile, vhb_4910
     from .profiles import energy, profile, scaling_defect
     from .records import Branch, Event, Ramp, SpecialPoint, State
     from .results import Code, SceneError
@@ -64,6 +65,7 @@ if typing.TYPE_CHECKING:
     from .shooting import shoot
     from .states import equilibrium
     from .surface import SheetState, Surface
+    from .units import VHB_4910, Units
 
 
 def __getattr__(name: str):

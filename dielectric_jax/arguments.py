@@ -10,7 +10,15 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-__all__ = ["CHAMBER_OPTIONS", "MATERIAL_CONSTANT", "PROGRAM", "BadInput", "option_names", "read_arguments"]
+__all__ = [
+    "CHAMBER_OPTIONS",
+    "MATERIAL_CONSTANT",
+    "PROGRAM",
+    "UNIT_CONSTANTS",
+    "BadInput",
+    "option_names",
+    "read_arguments",
+]
 
 PROGRAM = "dielectric-jax"
 _FIGURE_SUFFIXES = ("eps", "jpg", "jpeg", "pdf", "png", "svg")
@@ -20,7 +28,16 @@ CHAMBER_OPTIONS = ("initial_volume", "initial_pressure", "atmospheric_pressure",
 MATERIAL_CONSTANT = {"gent": "stretch_limit", "neo-hookean": None, "arruda-boyce": "chain_links"}
 
 _DESCRIPTION = """Equilibria and bifurcation diagrams of a dielectric elastomer membrane on an air chamber.
-All quantities are dimensionless: lengths in A, pressures in μH/A, volumes in A³, voltages in H√(μ/ε)."""
+Quantities are dimensionless: lengths in A, pressures in μH/A, volumes in A³, voltages in H√(μ/ε); with --si all
+quantities of options and JSON are in SI (Pa, m³, V, V/m for --breakdown), and tables and figures in mbar, ml, kV."""
+
+#: what one means in SI, given with --si only: option, symbol, what it is, and the default
+UNIT_CONSTANTS = {
+    "shear_modulus": ("PA", "shear modulus μ in Pa (45e3)"),
+    "thickness": ("M", "undeformed thickness H in m (1e-3)"),
+    "radius": ("M", "undeformed radius A in m (22.5e-3)"),
+    "relative_permittivity": ("E", "relative permittivity (4.7)"),
+}
 
 
 class BadInput(Exception):
@@ -118,6 +135,10 @@ def _parser() -> _Parser:
     group.add_argument(
         "--breakdown", type=_breakdown, default="vhb", metavar="vhb|FIELD", help="law of the breakdown field (vhb)"
     )
+    group = common.add_argument_group("units")
+    group.add_argument("--si", action="store_true", help="options and answers in SI")
+    for name, (symbol, what) in UNIT_CONSTANTS.items():
+        group.add_argument(_option(name), type=_positive, metavar=symbol, help=what)
     group = common.add_argument_group("answer")
     group.add_argument("--json", metavar="FILE|-", help="write JSON to a file, or to standard output with -")
     group.add_argument("--figure", metavar="FILE", help=f"draw a figure ({', '.join(_FIGURE_SUFFIXES)})")
@@ -156,7 +177,9 @@ def _parser() -> _Parser:
         "--initial-volume", type=_not_negative, metavar="V0", help="filling of the chamber, as a volume"
     )
     filling.add_argument("--initial-pressure", type=_not_negative, metavar="P0", help="… or as a pressure")
-    scene.add_argument("--atmospheric-pressure", type=_not_negative, metavar="PATM", help="pressure outside (50)")
+    scene.add_argument(
+        "--atmospheric-pressure", type=_not_negative, metavar="PATM", help="pressure outside (50; 100 kPa)"
+    )
     scene.add_argument("--polytropic-exponent", type=_positive, metavar="N", help="1 is isothermal (1)")
     scene.add_argument(
         "--engine", choices=["continuation", "surface"], default="continuation", help="how it is computed"
@@ -182,6 +205,9 @@ def _check(args: argparse.Namespace) -> None:
             raise BadInput(
                 f"{_option(name)} must be given with --material {owner} only, but the material is {args.material}."
             )
+    for name in UNIT_CONSTANTS:
+        if getattr(args, name) is not None and not args.si:
+            raise BadInput(f"{_option(name)} must be given with --si only.")
     for name in ("stretch_window", "load_window"):
         window = getattr(args, name)
         if window is not None and not window[0] < window[1]:
@@ -233,7 +259,12 @@ def option_names(message: str, args: argparse.Namespace) -> str:
             return aliases[name]
         return _option(name) if hasattr(args, name) else found[0]
 
-    return re.sub(r"`(\w+)`", option, " ".join(message.split()))
+    said = re.sub(r"`(\w+)`", option, " ".join(message.split()))
+    if args.si and re.search(r"\d", said):
+        said += (
+            " (These numbers are dimensionless: lengths in A, pressures in μH/A, volumes in A³, voltages in H√(μ/ε).)"
+        )
+    return said
 
 
 def read_arguments(argv: Sequence[str] | None) -> argparse.Namespace:

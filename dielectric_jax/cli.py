@@ -14,10 +14,21 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from .arguments import CHAMBER_OPTIONS, MATERIAL_CONSTANT, PROGRAM, BadInput, option_names, read_arguments
+from .arguments import (
+    CHAMBER_OPTIONS,
+    MATERIAL_CONSTANT,
+    PROGRAM,
+    UNIT_CONSTANTS,
+    BadInput,
+    option_names,
+    read_arguments,
+)
 from .results import Code, SceneError
 
 __all__ = ["main"]
+
+
+_ATMOSPHERE = 100e3  # Pa; 50 μH/A for the membrane of the paper
 
 
 def _say(text: str) -> None:
@@ -31,8 +42,25 @@ def _membrane(dj: Any, args: argparse.Namespace) -> Any:
     constant = MATERIAL_CONSTANT[args.material]
     value = getattr(args, constant) if constant else None
     material = kinds[args.material](**({} if value is None else {constant: value}))
-    breakdown = dj.VHBBreakdown() if args.breakdown == "vhb" else dj.ConstantBreakdown(args.breakdown)
+    own = {} if args.units is None else {n: getattr(args.units, n) for n in ("shear_modulus", "relative_permittivity")}
+    breakdown = dj.VHBBreakdown(**own) if args.breakdown == "vhb" else dj.ConstantBreakdown(args.breakdown)
     return dj.Membrane(material=material, prestretch=args.prestretch, breakdown=breakdown)
+
+
+def _units(dj: Any, args: argparse.Namespace) -> Any:
+    """The units of --si, None without it; the options' own quantities are made dimensionless."""
+    if not args.si:
+        return None
+    from .units import VACUUM_PERMITTIVITY
+
+    given = {n: getattr(args, n) for n in UNIT_CONSTANTS if getattr(args, n) is not None}
+    if "relative_permittivity" in given:
+        given["permittivity"] = given.pop("relative_permittivity") * VACUUM_PERMITTIVITY
+    units = dj.Units(**given)
+    if getattr(args, "chamber_volume", None) is not None and args.atmospheric_pressure is None:
+        args.atmospheric_pressure = _ATMOSPHERE
+    vars(args).update(units.from_si(vars(args)))
+    return units
 
 
 def _window(dj: Any, args: argparse.Namespace) -> Any:
@@ -48,7 +76,7 @@ def _scene(dj: Any, args: argparse.Namespace) -> Any:
     else:
         given = {name: getattr(args, name) for name in CHAMBER_OPTIONS if getattr(args, name) is not None}
         loading = dj.Chamber(volume=args.chamber_volume, **given)
-    return dj.Scene(membrane=_membrane(dj, args), loading=loading, window=_window(dj, args))
+    return dj.Scene(_membrane(dj, args), loading, _window(dj, args), args.units)
 
 
 def _curves(
@@ -75,10 +103,10 @@ def _run_equilibrium(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[
     def draw() -> Any:
         from .plotting import plot_diagram
 
-        figure = plot_diagram(_curves(dj, args, membrane, [args.voltage])[0])
+        figure = plot_diagram(_curves(dj, args, membrane, [args.voltage])[0], units=args.units)
         (ax,) = figure.axes
         right, top = ax.get_xlim()[1], ax.get_ylim()[1]
-        for state in states:
+        for state in states if args.units is None else args.units.read(states):
             ax.plot(state.volume, state.pressure, "*", color="#D55E00", markersize=11, zorder=6)
             right, top = max(right, 1.1 * state.volume), max(top, 1.1 * state.pressure)
         ax.set_xlim(right=right)
@@ -96,8 +124,8 @@ def _run_pressure_volume(dj: Any, args: argparse.Namespace) -> tuple[dict, Calla
         from .plotting import plot_diagram, plot_pressure_volume
 
         if len(curves) == 1:
-            return plot_diagram(curves[0])
-        return plot_pressure_volume(curves).figure
+            return plot_diagram(curves[0], units=args.units)
+        return plot_pressure_volume(curves, units=args.units).figure
 
     return documents[0] if len(documents) == 1 else {"diagrams": documents}, draw
 
@@ -121,7 +149,7 @@ def _run_voltage_volume(dj: Any, args: argparse.Namespace) -> tuple[dict, Callab
             except SceneError:
                 # a flat film holds voltages at which no inflated state is left: there is no curve to draw
                 continue
-        return plot_chamber(diagram, curves)
+        return plot_chamber(diagram, curves, units=args.units)
 
     return diagram.to_json(), draw
 
@@ -155,26 +183,40 @@ def _summary(document: dict) -> str:
     """A readable summary of a JSON document of this program."""
     if "diagrams" in document:
         return "\n\n".join(_summary(d) for d in document["diagrams"])
-    scene = ", ".join(f"{k} {_number_text(v)}" for k, v in document["scene"].items() if v is not None)
+    units = document.get("unit_names", {})
+    scene = ", ".join(
+        f"{k} {_number_text(v)}{_unit_of(k, units) if isinstance(v, float) else ''}"
+        for k, v in document["scene"].items()
+        if v is not None
+    )
     lines = [f"scene: {scene} ({document['units']})"]
     if "states" in document:
-        return "\n".join([*lines, *_state_lines("states", document["states"], ())])
+        return "\n".join([*lines, *_state_lines("states", document["states"], (), units)])
     complete = "yes" if document["complete"] else "no, scan and engine disagree"
     lines.append(f"engine: {document['engine']}, tolerance {document['tolerance']:g}, complete: {complete}")
-    lines += _branch_lines(document["branches"])
+    lines += _branch_lines(document["branches"], units)
     if document["special_points"]:
-        lines += _state_lines("special points", document["special_points"], ("kind", "branch"))
+        lines += _state_lines("special points", document["special_points"], ("kind", "branch"), units)
     if document["ramp"]:
         names = ("event", "direction", "voltage", "pressure", "volume", "apex_stretch", "breakdown_ratio", "reason")
-        lines += ["", "ramp", _table(names, [[e[n] for n in names] for e in document["ramp"]])]
+        lines += ["", "ramp", _table(_heads(names, units), [[e[n] for n in names] for e in document["ramp"]])]
     if document["area_strain_reason"] is not None:
         lines += ["", f"area strain: {_number_text(document['area_strain'])} ({document['area_strain_reason']})"]
     return "\n".join(lines)
 
 
-def _branch_lines(branches: Sequence[dict]) -> list[str]:
-    header = ("branch", "points", "voltage squared", "pressure", "volume", "apex stretch", "from", "to", "flags")
+def _unit_of(name: str, units: dict[str, str]) -> str:
+    return f" {units[name]}" if name in units else ""
+
+
+def _heads(names: Sequence[str], units: dict[str, str]) -> list[str]:
+    """Column heads: the names, with their units where they have one."""
+    return [name.replace("_", " ") + (f" [{units[name]}]" if name in units else "") for name in names]
+
+
+def _branch_lines(branches: Sequence[dict], units: dict[str, str]) -> list[str]:
     names = ("voltage_squared", "pressure", "volume", "apex_stretch")
+    header = ["branch", "points", *_heads(names, units), "from", "to", "flags"]
     rows = [
         [i, len(b["volume"]), *(_range(b[n]) for n in names), b["start"], b["end"], ", ".join(b["flags"]) or None]
         for i, b in enumerate(branches)
@@ -184,15 +226,24 @@ def _branch_lines(branches: Sequence[dict]) -> list[str]:
     return ["", "branches", _table(header, rows), *sentences]
 
 
-def _state_lines(title: str, states: Sequence[dict], leading: Sequence[str]) -> list[str]:
+def _state_lines(title: str, states: Sequence[dict], leading: Sequence[str], units: dict[str, str]) -> list[str]:
     names = (*leading, "voltage", "pressure", "volume", "apex_stretch", "breakdown_ratio", "index")
     rows = [[*(s[n] for n in names), f"{s['error_estimate']:.1e}", ", ".join(s["flags"]) or None] for s in states]
-    return ["", title, _table((*names, "error", "flags"), rows)]
+    return ["", title, _table([*_heads(names, units), "error", "flags"], rows)]
+
+
+def _in_units(document: dict, units: Any, *, read: bool = False) -> dict:
+    """The document in SI, or in the units people read; as it is without units."""
+    if units is None:
+        return document
+    if "diagrams" in document:
+        return {"diagrams": [units.to_document(d, read=read) for d in document["diagrams"]]}
+    return units.to_document(document, read=read)
 
 
 def _write(document: dict, draw: Callable[[], Any], args: argparse.Namespace) -> None:
     if args.json is not None:
-        text = json.dumps(document, allow_nan=False) + "\n"
+        text = json.dumps(_in_units(document, args.units), allow_nan=False) + "\n"
         if args.json == "-":
             sys.stdout.write(text)
             sys.stdout.flush()
@@ -206,7 +257,7 @@ def _write(document: dict, draw: Callable[[], Any], args: argparse.Namespace) ->
         draw().savefig(args.figure, dpi=150)
         _say(f"wrote {args.figure}")
     if args.json is None and args.figure is None:
-        print(_summary(document), flush=True)
+        print(_summary(_in_units(document, args.units, read=True)), flush=True)
 
 
 def _answer(args: argparse.Namespace) -> None:
@@ -220,6 +271,7 @@ def _answer(args: argparse.Namespace) -> None:
     if args.points is None:
         args.points = 256
     try:
+        args.units = _units(dj, args)
         document, draw = _COMMANDS[args.command](dj, args)
     except ValueError as error:
         raise BadInput(option_names(str(error), args)) from error

@@ -24,6 +24,7 @@ from .states import filling as filling_of
 from .stations import Curve
 from .surface import Surface
 from .tracing import warm_up
+from .units import Units
 
 __all__ = ["Diagram", "pressure_volume", "voltage_volume"]
 
@@ -96,11 +97,11 @@ class Diagram:
         """The diagram as a matplotlib figure, see `plotting.plot_diagram`."""
         return plot_diagram(self, **options)
 
-    def to_json(self) -> dict:
-        """The JSON document of the contract."""
+    def to_json(self, units: Units | None = None) -> dict:
+        """The JSON document of the contract; with `units` its quantities are in SI, named under "unit_names"."""
         stretches, _, loads = self.limits
         ramp = None if self._up is None else [e.to_json() for e in self.events]
-        return plain(
+        document = plain(
             {
                 "scene": describe(self.scene),
                 "units": "dimensionless",
@@ -119,6 +120,7 @@ class Diagram:
                 "area_strain_reason": self.area_strain_reason,
             }
         )
+        return document if units is None else units.to_document(document)
 
     def __repr__(self) -> str:
         lines = [f"Diagram({self.kind}, engine={self.engine}, complete={self.complete}"]

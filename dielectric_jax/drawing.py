@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import types
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ __all__ = [
     "COLOURS",
     "GAS",
     "add_legend",
+    "axis_label",
     "columns",
     "draw_events",
     "draw_line",
@@ -26,6 +28,8 @@ __all__ = [
     "line_entry",
     "point_entries",
     "sequence",
+    "viewed",
+    "voltage_text",
 ]
 
 # Okabe and Ito's colours, which the colour-blind tell apart
@@ -33,6 +37,25 @@ COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#0
 _UP, _DOWN = "#D55E00", "#56B4E9"
 _UNSTABLE = (0, (3.2, 1.8))
 GAS = (0, (7.0, 3.0))
+
+# words and symbol of a quantity, and its dimensionless form
+_LABELS = {
+    "pressure": ("Pressure p", "Pressure p A / (μH)"),
+    "voltage": ("Voltage Φ", "Voltage Φ / (H√(μ/ε))"),
+    "volume": ("Volume V", "Volume V / A³"),
+    "radius": ("Undeformed radius R", "Undeformed radius R / A"),
+    "r": ("Radius r", "Radius r / A"),
+    "z": ("Height z", "Height z / A"),
+    "stretch": ("Stretch λ", "Stretch λ"),
+    "stretch_1": ("Meridional stretch λ₁", "Meridional stretch λ₁"),
+    "stretch_2": ("Hoop stretch λ₂", "Hoop stretch λ₂"),
+    "stress": ("True stress σ", "True stress σ / μ"),
+    "stress_1": ("Meridional stress σ₁", "Meridional stress σ₁ / μ"),
+    "stress_2": ("Hoop stress σ₂", "Hoop stress σ₂ / μ"),
+    "field": ("Electric field E", "Electric field E / √(μ/ε)"),
+    "breakdown_ratio": ("Breakdown ratio E/E_EB", "Breakdown ratio E/E_EB"),
+    "apex_stretch": ("Apex stretch λa", "Apex stretch λa"),
+}
 
 # kind of a special point: (marker, face, word)
 _POINTS = {
@@ -50,6 +73,41 @@ _EVENTS = {
     "no_landing": ("^", "snap without landing"),
     "end": (">", "end of the ramp"),
 }
+
+
+def axis_label(name: str, units: Any = None) -> str:
+    """Words, symbol and unit of a quantity."""
+    words, dimensionless = _LABELS[name]
+    unit = "" if units is None else units.read_name(name)
+    return f"{words} / {unit}" if unit else dimensionless
+
+
+def voltage_text(voltage: float, units: Any = None) -> str:
+    """Φ = …, of a voltage that is already in the units' reading."""
+    return f"Φ = {voltage:.4g}" + ("" if units is None else f" {units.read_name('voltage')}")
+
+
+def viewed(diagram: Any, units: Any = None) -> tuple[Any, Any]:
+    """What a figure shows of a diagram, in the units it is read in, and these: those given, else the scene's own."""
+    units = getattr(diagram.scene, "units", None) if units is None else units
+    if units is None:
+        return diagram, None
+    loading = diagram.scene.loading
+
+    def gas_pressure(volume: np.ndarray) -> np.ndarray | None:
+        held = diagram.gas_pressure(volume / units.read(1.0, "volume"))
+        return None if held is None else units.read(held, "pressure")
+
+    view = types.SimpleNamespace(
+        kind=diagram.kind,
+        scene=types.SimpleNamespace(loading=units.read(loading), units=units),
+        branches=units.read(diagram.branches),
+        special_points=units.read(diagram.special_points),
+        events=units.read(diagram.events),
+        voltage=None if diagram.voltage is None else units.read(float(diagram.voltage), "voltage"),
+        gas_pressure=gas_pressure,
+    )
+    return view, units
 
 
 def sequence(count: int) -> list[Any]:

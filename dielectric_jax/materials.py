@@ -15,9 +15,9 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from .results import check_positive
+from .units import VACUUM_PERMITTIVITY, VHB_4910, Scalar, as_scalar, is_concrete
 
 __all__ = [
     "AbstractBreakdown",
@@ -32,19 +32,7 @@ __all__ = [
     "stresses",
 ]
 
-Scalar: typing.TypeAlias = typing.Any  # a number, or the array or tracer that stands for one
 Elementwise: typing.TypeAlias = typing.Any  # floats of any one shape ("...",): numbers, arrays or tracers
-_VACUUM_PERMITTIVITY = 8.854e-12  # F/m, with the digits of the paper
-
-
-def is_concrete(value) -> bool:
-    """Whether a value can be checked now, that is, no transformation is tracing it."""
-    return not isinstance(value, jax.core.Tracer)  # pyright: ignore[reportAttributeAccessIssue]
-
-
-def as_scalar(value: Scalar):
-    """A float64 scalar, or the tracer that stands for one."""
-    return jnp.asarray(value, dtype=float) if not is_concrete(value) else np.asarray(value, dtype=np.float64)
 
 
 def first_invariant_minus_3(l1, l2):
@@ -301,7 +289,7 @@ class VHBBreakdown(AbstractBreakdown):
     """
 
     scale: Scalar = eqx.field(default=1.0, converter=as_scalar)
-    shear_modulus: Scalar = eqx.field(default=45e3, converter=as_scalar)
+    shear_modulus: Scalar = eqx.field(default=VHB_4910["inflation"]["shear_modulus"], converter=as_scalar)
     relative_permittivity: Scalar = eqx.field(default=4.7, converter=as_scalar)
 
     def __check_init__(self):
@@ -310,7 +298,7 @@ class VHBBreakdown(AbstractBreakdown):
                 check_positive(name if name != "scale" else "breakdown_field_scale", float(getattr(self, name)))
 
     def field(self, stretch):
-        unit = jnp.sqrt(self.shear_modulus / (self.relative_permittivity * _VACUUM_PERMITTIVITY))
+        unit = jnp.sqrt(self.shear_modulus / (self.relative_permittivity * VACUUM_PERMITTIVITY))
         return self.scale * jnp.minimum(30.6e6 * stretch**1.13, 218e6) / unit
 
 

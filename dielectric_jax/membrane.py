@@ -15,16 +15,15 @@ import numpy as np
 from .materials import (
     AbstractBreakdown,
     AbstractMaterial,
+    ArrudaBoyce,
     Gent,
-    Scalar,
     VHBBreakdown,
-    as_scalar,
-    is_concrete,
     largest_load,
     stresses,
 )
+from .units import VHB_4910, Scalar, Units, as_scalar, is_concrete
 
-__all__ = ["Membrane", "Profile"]
+__all__ = ["Membrane", "Profile", "vhb_4910"]
 
 
 def require_float64() -> None:
@@ -86,6 +85,43 @@ class Membrane(eqx.Module):
     def largest_load(self, apex_stretch):
         """q_max(λa), see `materials.largest_load`."""
         return largest_load(self.material, apex_stretch)
+
+
+def vhb_4910(
+    fit: str = "inflation",
+    *,
+    model: str = "gent",
+    prestretch: float = 1.0,
+    thickness: float = 1e-3,
+    radius: float = 22.5e-3,
+) -> tuple[Membrane, Units]:
+    """A membrane of VHB 4910 and its units, by one of the two fits of section 3 of the paper.
+
+    Args:
+        fit: "inflation" (μ = 45 kPa, J = 270, used in the paper's analyses) or "tension" (μ = 68 kPa, J = 372, n = 125).
+        model: "gent", or for the tension fit also "arruda-boyce".
+        prestretch: stretch of the rim.
+        thickness: undeformed thickness H in m.
+        radius: undeformed radius A in m.
+
+    Raises:
+        ValueError: for another fit or model.
+
+    >>> membrane, units = vhb_4910("tension", model="arruda-boyce")
+    >>> float(membrane.material.chain_links), float(units.shear_modulus)
+    (125.0, 68000.0)
+    """
+    if fit not in VHB_4910:
+        raise ValueError(f"`fit` must be one of {', '.join(VHB_4910)}, but is {fit!r}.")
+    constants = VHB_4910[fit]
+    materials = {"gent": (Gent, "stretch_limit"), "arruda-boyce": (ArrudaBoyce, "chain_links")}
+    allowed = [name for name, (_, constant) in materials.items() if constant in constants]
+    if model not in allowed:
+        raise ValueError(f"`model` must be {' or '.join(allowed)} for the {fit} fit, but is {model!r}.")
+    kind, constant = materials[model]
+    units = Units(shear_modulus=constants["shear_modulus"], thickness=thickness, radius=radius)
+    law = VHBBreakdown(shear_modulus=units.shear_modulus, relative_permittivity=units.relative_permittivity)
+    return Membrane(kind(constants[constant]), prestretch, law), units
 
 
 @jax.jit

@@ -15,6 +15,7 @@ from .drawing import (
     COLOURS,
     GAS,
     add_legend,
+    axis_label,
     columns,
     draw_events,
     draw_line,
@@ -24,6 +25,8 @@ from .drawing import (
     line_entry,
     point_entries,
     sequence,
+    viewed,
+    voltage_text,
 )
 from .records import SpecialPoint, voltage_of
 
@@ -33,17 +36,16 @@ if TYPE_CHECKING:
 
 __all__ = ["chamber_voltages", "plot_chamber", "plot_diagram", "plot_pressure_volume", "plot_voltage_volume"]
 
-PRESSURE_LABEL = "Pressure p A / (μH)"
-VOLTAGE_LABEL = "Voltage Φ / (H√(μ/ε))"
-VOLUME_LABEL = "Volume V / A³"
 
-
-def plot_voltage_volume(diagram: Any, *, ax: Axes | None = None, whole: bool = False, legend: bool = True) -> Axes:
+def plot_voltage_volume(
+    diagram: Any, *, ax: Axes | None = None, units: Any = None, whole: bool = False, legend: bool = True
+) -> Axes:
     """Draws Φ against V: every branch, the special points, and the ramp up and down with its snaps.
 
     Args:
         diagram: a `Diagram` of kind "voltage-volume".
         ax: the axes to draw on; new ones when None.
+        units: the `Units` to draw in, as kV, ml and mbar; by default those the scene carries, else dimensionless.
         whole: show every branch in full; otherwise the limits frame what the ramp meets.
         legend: whether to add a legend.
 
@@ -51,6 +53,7 @@ def plot_voltage_volume(diagram: Any, *, ax: Axes | None = None, whole: bool = F
         The axes.
     """
     _require_kind(diagram, "voltage-volume")
+    diagram, units = viewed(diagram, units)
     ax = _axes(ax)
     for number, branch in enumerate(diagram.branches):
         points = [p for p in diagram.special_points if p.branch == number]
@@ -59,7 +62,7 @@ def plot_voltage_volume(diagram: Any, *, ax: Axes | None = None, whole: bool = F
     shown = [p for p in diagram.special_points if p.voltage_squared >= 0]
     draw_points(ax, shown, "voltage")
     draw_events(ax, diagram.events, "voltage")
-    _label(ax, VOLTAGE_LABEL)
+    _label(ax, "voltage", units)
     _frame_voltage(ax, diagram, shown, whole)
     if legend:
         add_legend(ax, [*line_entries(diagram.branches), *point_entries(shown), *event_entries(diagram.events)])
@@ -70,6 +73,7 @@ def plot_pressure_volume(
     diagrams: Any,
     *,
     ax: Axes | None = None,
+    units: Any = None,
     gas_line: Callable[[np.ndarray], np.ndarray] | None = None,
     stability: bool = True,
     whole: bool = False,
@@ -80,6 +84,7 @@ def plot_pressure_volume(
     Args:
         diagrams: a `Diagram` of kind "pressure-volume", or a sequence of them.
         ax: the axes to draw on; new ones when None.
+        units: the `Units` to draw in, as kV, ml and mbar; by default those the scene carries, else dimensionless.
         gas_line: the pressure of the air as a function of an array of volumes, drawn dashed in black.
         stability: dash what is unstable under prescribed pressure, and mark the special points. Otherwise the lines
             are plain, as it should be where another loading decides on stability.
@@ -94,6 +99,7 @@ def plot_pressure_volume(
         raise ValueError("Argument `diagrams` must hold at least one diagram, but is empty.")
     for diagram in diagrams:
         _require_kind(diagram, "pressure-volume")
+    diagrams, (units, *_) = zip(*(viewed(d, units) for d in diagrams), strict=True)
     ax = _axes(ax)
     entries, shown = [], []
     for diagram, colour in zip(diagrams, sequence(len(diagrams)), strict=True):
@@ -102,11 +108,11 @@ def plot_pressure_volume(
             volume, pressure, broken, stable = columns(branch, "pressure", points)
             stable = stable if stability else np.ones_like(stable)
             draw_line(ax, volume, pressure, stable, broken, colour=colour)
-        entries.append(line_entry(f"Φ = {float(diagram.voltage):.4g}", colour=colour))
+        entries.append(line_entry(voltage_text(diagram.voltage, units), colour=colour))
         if stability:
             shown += diagram.special_points
     draw_points(ax, shown, "pressure")
-    _label(ax, PRESSURE_LABEL)
+    _label(ax, "pressure", units)
     _frame_pressure(ax, diagrams, whole)
     if gas_line is not None:
         volume = np.linspace(0, ax.get_xlim()[1], 400)
@@ -119,7 +125,9 @@ def plot_pressure_volume(
     return ax
 
 
-def plot_chamber(diagram: Any, curves: Sequence[Any] = (), *, figure: Figure | None = None) -> Figure:
+def plot_chamber(
+    diagram: Any, curves: Sequence[Any] = (), *, figure: Figure | None = None, units: Any = None
+) -> Figure:
     """Draws the paper's figure of one scene: membrane curves with the line of the air, and voltage against volume.
 
     The states of the scene are where the line of the air (dashed) crosses a curve of the membrane.
@@ -128,6 +136,7 @@ def plot_chamber(diagram: Any, curves: Sequence[Any] = (), *, figure: Figure | N
         diagram: a `Diagram` of kind "voltage-volume".
         curves: diagrams of kind "pressure-volume" of the same membrane; `chamber_voltages` proposes their voltages.
         figure: the figure to draw on; a new one when None.
+        units: the `Units` to draw in, as kV, ml and mbar; by default those the scene carries, else dimensionless.
 
     Returns:
         The figure.
@@ -135,12 +144,14 @@ def plot_chamber(diagram: Any, curves: Sequence[Any] = (), *, figure: Figure | N
     _require_kind(diagram, "voltage-volume")
     figure = _figure(11.0 if curves else 6.0) if figure is None else figure
     if not curves:
-        plot_voltage_volume(diagram, ax=figure.add_subplot())
+        plot_voltage_volume(diagram, ax=figure.add_subplot(), units=units)
         return figure
     left, right = figure.subplots(1, 2)
-    plot_voltage_volume(diagram, ax=right)
+    plot_voltage_volume(diagram, ax=right, units=units)
     right_limits = right.get_xlim()
-    plot_pressure_volume(list(curves), ax=left, stability=False, legend=False)
+    diagram, units = viewed(diagram, units)
+    plot_pressure_volume(list(curves), ax=left, units=units, stability=False, legend=False)
+    curves = [viewed(c, units)[0] for c in curves]
     left.set_xlim(right_limits)
     _frame_chamber(left, diagram, curves)
 
@@ -152,20 +163,22 @@ def plot_chamber(diagram: Any, curves: Sequence[Any] = (), *, figure: Figure | N
     left.plot(volume, gas_line(volume), color="black", linestyle=GAS, linewidth=1.2, zorder=2.5)
     draw_events(left, diagram.events, "pressure", gas_line=gas_line)
     colours = sequence(len(curves))
-    entries = [line_entry(f"Φ = {float(c.voltage):.4g}", colour=k) for c, k in zip(curves, colours, strict=True)]
+    entries = [line_entry(voltage_text(c.voltage, units), colour=k) for c, k in zip(curves, colours, strict=True)]
     entries.append(line_entry("air", colour="black", linestyle=GAS))
     add_legend(left, entries)
     return figure
 
 
-def plot_diagram(diagram: Any, curves: Sequence[Any] = (), *, figure: Figure | None = None) -> Figure:
-    """Draws the figure that fits the diagram's kind; `curves` as in `plot_chamber`."""
+def plot_diagram(
+    diagram: Any, curves: Sequence[Any] = (), *, figure: Figure | None = None, units: Any = None
+) -> Figure:
+    """Draws the figure that fits the diagram's kind; `curves` and `units` as in `plot_chamber`."""
     if diagram.kind == "voltage-volume":
-        return plot_chamber(diagram, curves, figure=figure)
+        return plot_chamber(diagram, curves, figure=figure, units=units)
     if curves:
         raise ValueError("Argument `curves` must be empty for a diagram of kind 'pressure-volume', but is not.")
     figure = _figure(6.0) if figure is None else figure
-    plot_pressure_volume(diagram, ax=figure.add_subplot())
+    plot_pressure_volume(diagram, ax=figure.add_subplot(), units=units)
     return figure
 
 
@@ -195,9 +208,9 @@ def _require_kind(diagram: Any, kind: str) -> None:
         raise ValueError(f"Argument `diagram` must be of kind {kind!r}, but is of kind {diagram.kind!r}.")
 
 
-def _label(ax: Axes, ylabel: str) -> None:
-    ax.set_xlabel(VOLUME_LABEL)
-    ax.set_ylabel(ylabel)
+def _label(ax: Axes, name: str, units: Any) -> None:
+    ax.set_xlabel(axis_label("volume", units))
+    ax.set_ylabel(axis_label(name, units))
 
 
 def _frame_voltage(ax: Axes, diagram: Any, points: Sequence[SpecialPoint], whole: bool) -> None:

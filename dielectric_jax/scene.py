@@ -11,12 +11,13 @@ import numpy as np
 from .loading import AbstractLoading, Chamber, ConstantPressure, ConstantVoltage
 from .materials import ArrudaBoyce, ConstantBreakdown, CustomMaterial, Gent, NeoHookean, VHBBreakdown
 from .membrane import Membrane
+from .units import Units, is_concrete
 
 __all__ = ["PARAMETERS", "Scene", "Window", "describe"]
 
 SCANNED_LOAD = 0.9  # the scan covers load fractions up to this
 
-#: every continuous parameter of a scene, and where it lives
+#: every continuous parameter of a scene, and where it lives; the last four, in SI, where the scene carries `units`
 PARAMETERS = {
     "chamber_volume": ("loading", "volume"),
     "initial_volume": ("loading", "initial_volume"),
@@ -28,6 +29,10 @@ PARAMETERS = {
     "breakdown_field_scale": ("membrane", "breakdown", "scale"),
     "stretch_limit": ("membrane", "material", "stretch_limit"),
     "chain_links": ("membrane", "material", "chain_links"),
+    "shear_modulus": ("units", "shear_modulus"),
+    "thickness": ("units", "thickness"),
+    "radius": ("units", "radius"),
+    "permittivity": ("units", "permittivity"),
 }
 
 
@@ -67,6 +72,9 @@ class Window(eqx.Module):
 class Scene(eqx.Module):
     """One membrane under one loading; `replace` changes parameters by their published names (`PARAMETERS`).
 
+    Its numbers are dimensionless. A scene that carries `units` knows what they mean in SI; `Scene.from_si` makes one from
+    a loading in SI.
+
     >>> scene = Scene(membrane=Membrane(), loading=Chamber(volume=1600.0, initial_volume=2.42))
     >>> float(scene.replace(chamber_volume=800.0).loading.volume)
     800.0
@@ -75,6 +83,7 @@ class Scene(eqx.Module):
     membrane: Membrane
     loading: AbstractLoading
     window: Window = eqx.field(default_factory=Window)
+    units: Units | None = None
 
     def __check_init__(self):
         if not isinstance(self.membrane, Membrane):
@@ -83,9 +92,38 @@ class Scene(eqx.Module):
             raise ValueError(
                 f"`loading` must be a loading such as Chamber(...), but is a {type(self.loading).__name__}."
             )
+        if self.units is not None:
+            if not isinstance(self.units, Units):
+                raise ValueError(f"`units` must be a Units, but is a {type(self.units).__name__}.")
+            _check_law(self.membrane.breakdown, self.units)
+
+    @classmethod
+    def from_si(
+        cls, membrane: Membrane, loading: AbstractLoading, units: Units | None = None, *, window: Window | None = None
+    ) -> "Scene":
+        """The scene of a loading whose numbers are in SI (Pa, m³, …), with `units` (default `Units()`) carried along.
+
+        A `VHBBreakdown` of the membrane gets the units' μ and ε. The membrane's own numbers are dimensionless as ever.
+
+        >>> chamber = Chamber(volume=18.225e-3, initial_volume=27.565e-6, atmospheric_pressure=100e3)
+        >>> scene = Scene.from_si(Membrane(), chamber)
+        >>> round(float(scene.loading.volume), 9), round(float(scene.loading.atmospheric_pressure), 9)
+        (1600.0, 50.0)
+        >>> thin = scene.replace(thickness=0.5e-3)  # the same chamber of air, twice as stiff beside the film
+        >>> round(float(thin.loading.volume), 9), round(float(thin.loading.atmospheric_pressure), 9)
+        (1600.0, 100.0)
+        """
+        units = Units() if units is None else units
+        law = _law_in(membrane.breakdown, units)
+        changed = _rebuild(membrane, (), {"breakdown": law})
+        return cls(changed, units.from_si(loading), Window() if window is None else window, units)
 
     def replace(self, **parameters) -> "Scene":
-        """The scene with other values of the named parameters; setting one side of a filling clears the other."""
+        """The scene with other values of the named parameters; setting one side of a filling clears the other.
+
+        Parameters of the units are in SI, and what they change is the film: the loading and a constant breakdown field stay
+        what they are in SI, so that their dimensionless numbers change. All others are dimensionless.
+        """
         scene = self
         for name, value in parameters.items():
             path = PARAMETERS.get(name)
@@ -94,13 +132,32 @@ class Scene(eqx.Module):
             if not _has(scene, path):
                 raise ValueError(
                     f"`{name}` must be a parameter of this scene, but its {path[0]} has none of that name."
+                    if path[0] != "units" or self.units is not None
+                    else f"`{name}` must be a parameter of this scene, but it carries no `units`."
                 )
+            if path[0] == "units":
+                scene = scene._in(_rebuild(scene.units, (), {name: value}))
+                continue
             changes = {path[-1]: value}
             other = {"initial_volume": "initial_pressure", "initial_pressure": "initial_volume"}.get(name)
             if other:
                 changes[other] = None
             scene = _rebuild(scene, path[:-1], changes)
         return scene
+
+    def _in(self, units: Units) -> "Scene":
+        """The same loading and breakdown field in SI on a film of other constants."""
+        before = typing.cast(Units, self.units)
+        law = self.membrane.breakdown
+        if isinstance(law, ConstantBreakdown):
+            law = units.reduce(before.to_si(law))
+        elif not isinstance(law, VHBBreakdown):
+            raise ValueError(
+                f"`breakdown` must be a VHBBreakdown or ConstantBreakdown where units change, but is a {type(law).__name__}."
+            )
+        membrane = _rebuild(self.membrane, (), {"breakdown": _law_in(law, units)})
+        loading = units.reduce(before.to_si(self.loading))
+        return Scene(membrane, loading, self.window, units)
 
     def limits(self) -> tuple[tuple[float, float], bool, tuple[float, float]]:
         """Apex-stretch limits, whether the upper one is the material's lock-up, and load-fraction limits."""
@@ -122,9 +179,31 @@ def _fields(module) -> set:
     return set(module.__dataclass_fields__)
 
 
+def _law_in(law, units: Units):
+    """A breakdown law that measures its field in these units."""
+    if not isinstance(law, VHBBreakdown):
+        return law
+    return VHBBreakdown(law.scale, units.shear_modulus, units.relative_permittivity)
+
+
+def _check_law(law, units: Units) -> None:
+    if not isinstance(law, VHBBreakdown):
+        return
+    pairs = {
+        "shear_modulus": (law.shear_modulus, units.shear_modulus),
+        "relative_permittivity": (law.relative_permittivity, units.relative_permittivity),
+    }
+    for name, (own, other) in pairs.items():
+        if is_concrete(own) and is_concrete(other) and abs(own / other - 1) > 1e-12:
+            raise ValueError(
+                f"`{name}` of the breakdown law must be that of the units, {float(other):.6g}, but is {float(own):.6g}; "
+                "Scene.from_si sees to it."
+            )
+
+
 def _has(module, path) -> bool:
     for name in path:
-        if name not in _fields(module):
+        if module is None or name not in _fields(module):
             return False
         module = getattr(module, name)
     return True
@@ -137,11 +216,16 @@ def _rebuild(module, path, changes):
     return type(module)(**{n: getattr(module, n) for n in _fields(module)} | changes)
 
 
+def describe_units(units: Units) -> dict:
+    """The constants of the units, in SI, under their published names."""
+    return {name: float(getattr(units, name)) for name in units.__dataclass_fields__}
+
+
 _MATERIAL_NAMES = {Gent: "gent", NeoHookean: "neo-hookean", ArrudaBoyce: "arruda-boyce", CustomMaterial: "custom"}
 
 
 def describe(what: Scene | Membrane) -> dict:
-    """The scene's parameters under their published names, as the JSON documents carry them."""
+    """The scene's parameters under their published names, as the JSON documents carry them; the units' own are in SI."""
     scene = what if isinstance(what, Scene) else None
     membrane = what.membrane if isinstance(what, Scene) else what
     out: dict = {"material": _MATERIAL_NAMES.get(type(membrane.material), type(membrane.material).__name__)}
@@ -160,6 +244,8 @@ def describe(what: Scene | Membrane) -> dict:
     out["breakdown_field_scale"] = float(getattr(law, "scale", 1.0))
     if scene is None:
         return out
+    if scene.units is not None:
+        out |= describe_units(scene.units)
     loading = scene.loading
     if isinstance(loading, ConstantPressure):
         out["pressure"] = float(loading.pressure)

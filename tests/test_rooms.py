@@ -9,6 +9,7 @@ ROOMS = [
     "cache",
     "kept",
     "results",
+    "units",
     "records",
     "materials",
     "membrane",

@@ -1,0 +1,228 @@
+"""SI and back: by hand-made conversions of the paper's membrane, by scale-free laws, and on the command line."""
+
+import dataclasses
+import json
+import math
+
+import jax
+import numpy as np
+import pytest
+
+import dielectric_jax as dj
+from dielectric_jax.cli import main
+from dielectric_jax.plotting import plot_chamber, plot_pressure_volume
+
+MU, H, A, EPSILON = 45e3, 1e-3, 22.5e-3, 4.7 * 8.854e-12  # the paper's membrane
+PRESSURE, VOLUME, VOLTAGE = MU * H / A, A**3, H * math.sqrt(MU / EPSILON)
+SNAP, BREAKDOWN = 0.0764953595449, 0.100970094106  # voltages of V_C = 1600 (section 4 of the model)
+
+
+@pytest.fixture(autouse=True)
+def no_cache(monkeypatch):
+    monkeypatch.setenv("DIELECTRIC_JAX_CACHE", "off")
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("pressure", PRESSURE),
+        ("atmospheric_pressure", PRESSURE),
+        ("volume", VOLUME),
+        ("chamber_volume", VOLUME),
+        ("voltage", VOLTAGE),
+        ("voltage_squared", VOLTAGE**2),
+        ("field", VOLTAGE / H),
+        ("charge", EPSILON * VOLTAGE / H * A**2),
+        ("height", A),
+        ("stress_1", MU),
+        ("energy", MU * H * A**2),
+    ],
+)
+def test_units_by_hand(name, unit):
+    units = dj.Units()
+    assert units.to_si(1.5, name) == pytest.approx(1.5 * unit, rel=1e-14)
+    assert units.from_si(1.5 * unit, name) == pytest.approx(1.5, rel=1e-14)
+    np.testing.assert_allclose(units.to_si(np.array([1.0, 2.0]), name), [unit, 2 * unit], rtol=1e-14)
+
+
+def test_numbers_of_the_paper():
+    """100 kPa is 50; 12 ml and 20 L; the unit of the field; p V, Q Φ and energies are measured in one unit."""
+    units = dj.Units()
+    assert units.from_si(100e3, "atmospheric_pressure") == pytest.approx(50, rel=1e-14)
+    assert units.read(1.0, "field") == pytest.approx(32.88422182218, rel=1e-12)
+    assert units.read(2.42, "volume") == pytest.approx(2.42 * 11.390625, rel=1e-14)
+    assert (units.read_name("volume"), units.read_name("chamber_volume")) == ("ml", "L")
+    other = dj.Units(shear_modulus=12e3, thickness=0.3e-3, radius=0.1, permittivity=3e-11)
+    for one in (units, other):
+        joule = one.to_si(1.0, "energy")
+        assert one.to_si(1.0, "pressure") * one.to_si(1.0, "volume") == pytest.approx(joule, rel=1e-14)
+        assert one.to_si(1.0, "charge") * one.to_si(1.0, "voltage") == pytest.approx(joule, rel=1e-14)
+
+
+def test_presets():
+    membrane, units = dj.vhb_4910()
+    assert float(membrane.material.stretch_limit) == 270 and float(units.shear_modulus) == 45e3
+    membrane, units = dj.vhb_4910("tension", thickness=0.5e-3)
+    assert float(membrane.material.stretch_limit) == 372 and float(units.shear_modulus) == 68e3
+    # the breakdown law is that of section 3 in MV/m, whatever the unit
+    assert units.to_si(float(membrane.breakdown.field(2.0)), "field") == pytest.approx(30.6e6 * 2**1.13, rel=1e-13)
+    with pytest.raises(ValueError, match=r"`model` must be gent for the inflation fit, but is 'arruda-boyce'"):
+        dj.vhb_4910(model="arruda-boyce")
+    with pytest.raises(ValueError, match="`fit` must be one of inflation, tension"):
+        dj.vhb_4910("shear")
+
+
+def scene(**changes):
+    chamber = {"volume": 20e-3, "initial_volume": 12e-6, "atmospheric_pressure": 100e3}
+    return dj.Scene.from_si(dj.Membrane(), dj.Chamber(**chamber | changes))
+
+
+def test_a_scene_from_si():
+    made = scene()
+    assert float(made.loading.volume) == pytest.approx(20e-3 / VOLUME, rel=1e-14)
+    assert float(made.loading.initial_volume) == pytest.approx(12e-6 / VOLUME, rel=1e-14)
+    back = made.units.to_si(made.loading)
+    assert (float(back.volume), float(back.atmospheric_pressure)) == pytest.approx((20e-3, 100e3), rel=1e-14)
+    held = dj.Scene.from_si(dj.Membrane(), dj.ConstantPressure(2e3), dj.Units(thickness=2e-3))
+    assert float(held.loading.pressure) == pytest.approx(2e3 / (2 * PRESSURE), rel=1e-14)
+    assert dj.describe(held)["thickness"] == 2e-3
+
+
+def test_other_constants_keep_the_apparatus():
+    """What is in SI stays; the breakdown field in MV/m stays; derivatives follow (p_atm A/(μH) falls as 1/H)."""
+    before = scene()
+    after = before.replace(shear_modulus=68e3, thickness=0.5e-3, radius=0.03, permittivity=3e-11)
+    old, new = before.units.to_si(before.loading), after.units.to_si(after.loading)
+    for name in ("volume", "initial_volume", "atmospheric_pressure"):
+        assert float(getattr(new, name)) == pytest.approx(float(getattr(old, name)), rel=1e-13)
+    law = after.membrane.breakdown
+    assert after.units.to_si(float(law.field(3.0)), "field") == pytest.approx(30.6e6 * 3**1.13, rel=1e-13)
+    constant = dj.Scene(dj.Membrane(breakdown=dj.ConstantBreakdown(2.0)), dj.ConstantPressure(1.0), units=dj.Units())
+    stiffer = constant.replace(shear_modulus=4 * MU)
+    assert float(stiffer.membrane.breakdown.constant_field) == pytest.approx(1.0, rel=1e-14)
+    assert float(stiffer.loading.pressure) == pytest.approx(0.25, rel=1e-14)
+    slope = jax.grad(lambda h: before.replace(thickness=h).loading.atmospheric_pressure)(H)
+    assert float(slope) == pytest.approx(-50 / H, rel=1e-13)
+
+
+def test_refusals():
+    units = dj.Units()
+    for message, call in [
+        ("`thickness` must be positive and finite, but is 0.0", lambda: dj.Units(thickness=0.0)),
+        ("`name` must be given with a number", lambda: units.to_si(1.0)),
+        ("`name` must be one of pressure, .* but is 'colour'", lambda: units.to_si(1.0, "colour")),
+        ("`atmospheric_pressure` must be given in Pa", lambda: units.from_si(dj.Chamber(1.0, 1.0))),
+        ("A Scene must be converted part by part", lambda: units.to_si(scene())),
+        (
+            "`thickness` must be a parameter of this scene, but it carries no `units`",
+            lambda: bare().replace(thickness=1),
+        ),
+        ("`shear_modulus` of the breakdown law must be that of the units, 68000", lambda: bare(dj.Units(68e3))),
+        ("`units` must be a Units, but is a float", lambda: bare(1.0)),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            call()
+    custom = dj.Membrane(breakdown=dj.CustomBreakdown(lambda stretch: stretch))
+    with pytest.raises(ValueError, match="`breakdown` must be a VHBBreakdown or ConstantBreakdown where units change"):
+        dj.Scene(custom, dj.ConstantPressure(1.0), units=units).replace(thickness=1e-3)
+
+
+def bare(units=None):
+    return dj.Scene(dj.Membrane(), dj.ConstantPressure(1.0), units=units)
+
+
+def test_records_there_and_back(chamber):
+    units, diagram = dj.Units(), chamber(1600.0)
+    (snap,), (breakdown,) = diagram.ramp()["snap"], units.read(diagram.ramp())["breakdown"]
+    assert units.to_si(snap.state).voltage == pytest.approx(SNAP * VOLTAGE, rel=1e-9)
+    assert breakdown.state.voltage == pytest.approx(BREAKDOWN * VOLTAGE / 1e3, rel=1e-9)
+    assert breakdown.state.apex_stretch == pytest.approx(8.10285526922, rel=1e-9)
+    for record in (snap, diagram.branches[0], diagram.ramp(), dj.profile(diagram.scene.membrane, snap.state)):
+        there = units.to_si(record)
+        assert type(there) is type(record)
+        for name in (f.name for f in dataclasses.fields(record)):
+            np.testing.assert_equal(np.shape(getattr(there, name)), np.shape(getattr(record, name)), err_msg=name)
+    document = diagram.to_json()
+    in_si = diagram.to_json(units)
+    assert in_si["units"] == "SI" and in_si["unit_names"]["volume"] == "m³" and in_si["scene"]["radius"] == A
+    assert in_si["ramp"][1]["voltage"] == pytest.approx(SNAP * VOLTAGE, rel=1e-9)
+    assert in_si["window"] == document["window"] and in_si["area_strain"] == document["area_strain"]
+    again = units.reduce(in_si)
+    for name in ("pressure", "volume", "voltage_squared", "charge", "height"):
+        columns = (np.array(d["branches"][0][name], float) for d in (again, document))
+        np.testing.assert_allclose(*columns, rtol=1e-13)
+    # dU = p dV in joules along the branch at Φ = 0 is p dV in the unit of energy: the two units are one
+    first = in_si["branches"][0]
+    assert first["pressure"][0] * first["volume"][0] == pytest.approx(
+        document["branches"][0]["pressure"][0] * document["branches"][0]["volume"][0] * MU * H * A**2, rel=1e-12
+    )
+
+
+def test_ensembles_convert_too():
+    point = dj.Point(*(np.array([v]) for v in (2.0, 1.0, 3.0, 0.1, 1e-12)))
+    there = dj.Units().to_si(point)
+    assert there.pressure[0] == pytest.approx(PRESSURE) and there.voltage[0] == pytest.approx(0.1 * VOLTAGE)
+    assert there.apex_stretch[0] == 2.0 and there.error[0] == 1e-12
+
+
+def test_figures_in_units(chamber, curve):
+    diagram = chamber(1600.0)
+    figure = plot_chamber(diagram, [curve(0.0)], units=dj.Units())
+    left, right = figure.axes
+    assert left.get_ylabel() == "Pressure p / mbar" and right.get_ylabel() == "Voltage Φ / kV"
+    assert right.get_xlabel() == "Volume V / ml"
+    (snap,) = [line for line in right.lines if len(line.get_xdata()) == 60]
+    assert snap.get_ydata()[0] == pytest.approx(SNAP * VOLTAGE / 1e3, rel=1e-9)
+    assert "Φ = 0 kV" in [text.get_text() for text in left.get_legend().get_texts()]
+    # the line of the air ends at the right limit, 24 mbar or so below its start: Boyle's law in SI by hand
+    air = max(left.lines, key=lambda line: len(line.get_xdata()) == 400)
+    volume, pressure = np.asarray(air.get_xdata()) * 1e-6, np.asarray(air.get_ydata()) * 100
+    gas = (pressure + 100e3) * (volume + 1600 * VOLUME)
+    np.testing.assert_allclose(gas, (1.886612680245 * PRESSURE + 100e3) * (2.42 + 1600) * VOLUME, rtol=1e-9)
+    carried = dataclasses.replace(
+        diagram, scene=dj.Scene(diagram.scene.membrane, diagram.scene.loading, units=dj.Units())
+    )
+    assert carried.plot().axes[0].get_ylabel() == "Voltage Φ / kV"
+    assert plot_pressure_volume(curve(0.0)).get_ylabel() == "Pressure p A / (μH)"
+
+
+def answer(capsys, *argv):
+    assert main([*argv, "--json", "-"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_the_command_line_in_si(capsys):
+    document = answer(capsys, "equilibrium", "--si", "--volume", "12e-6")
+    (state,) = document["states"]
+    assert document["units"] == "SI" and document["unit_names"]["pressure"] == "Pa"
+    assert state["pressure"] == pytest.approx(1.1417 * PRESSURE, rel=5e-5)  # 22.8 mbar
+    assert state["volume"] == pytest.approx(12e-6, rel=1e-9)
+    # twice as thick and stiff, four times the radius: the same dimensionless state
+    more = ["--shear-modulus", "90e3", "--thickness", "2e-3", "--radius", "0.09", "--relative-permittivity", "9.4"]
+    (other,) = answer(capsys, "equilibrium", "--si", *more, "--volume", str(12e-6 * 64), "--voltage", "0")["states"]
+    assert other["apex_stretch"] == pytest.approx(state["apex_stretch"], rel=1e-9)
+    assert other["pressure"] == pytest.approx(state["pressure"], rel=1e-9)
+
+
+def test_the_command_line_reads_in_mbar(capsys):
+    assert main(["equilibrium", "--si", "--volume", "12e-6"]) == 0
+    out = capsys.readouterr().out
+    assert "pressure [mbar]" in out and "22.834" in out and "shear_modulus 45000 Pa" in out
+
+
+def test_the_command_line_asks_for_si(capsys):
+    assert main(["equilibrium", "--volume", "1", "--radius", "0.02"]) == 2
+    assert capsys.readouterr().err == "dielectric-jax: --radius must be given with --si only.\n"
+    assert main(["equilibrium", "--si", "--volume", "1"]) == 2
+    assert "These numbers are dimensionless" in capsys.readouterr().err
+
+
+def test_a_chamber_in_si(capsys):
+    """V_C = 1600 and V_0 = 2.42 in litres and millilitres; the pressure outside is 100 kPa when nothing is said."""
+    filled = ["voltage-volume", "--si", "--chamber-volume", str(1600 * VOLUME), "--initial-volume", str(2.42 * VOLUME)]
+    document = answer(capsys, *filled)
+    ramp = {event["event"]: event for event in document["ramp"] if event["direction"] == "up"}
+    assert ramp["snap"]["voltage"] == pytest.approx(SNAP * VOLTAGE, rel=1e-9)
+    assert ramp["breakdown"]["voltage"] == pytest.approx(BREAKDOWN * VOLTAGE, rel=1e-9)
+    assert document["scene"]["atmospheric_pressure"] == pytest.approx(100e3)
+    assert document["scene"]["chamber_volume"] == pytest.approx(1600 * VOLUME)
