@@ -20,10 +20,11 @@ _ROOMS = {
         "stresses",
     ),
     "membrane": ("Membrane", "Profile", "vhb_4910"),
-    "loading": ("Chamber", "ConstantPressure", "ConstantVoltage"),
+    "loading": ("Chamber", "ChargeControl", "ConstantPressure", "ConstantVoltage", "PrescribedVolume"),
     "scene": ("PARAMETERS", "Scene", "Window", "describe"),
     "shooting": ("shoot",),
     "profiles": ("energy", "profile", "scaling_defect"),
+    "stability": ("Stability", "stability_of"),
     "chart": ("explicit_map",),
     "continuation": ("Problem", "Steps", "Trace", "trace"),
     "surface": ("SheetState", "Surface"),
@@ -46,7 +47,7 @@ if typing.TYPE_CHECKING:
     from .diagram import Diagram, pressure_volume, voltage_volume
     from .ensemble import Curves, Outcome, Point, Ramps, chamber_curves, chamber_ramps, pressure_ramps
     from .family import SurfaceFamily
-    from .loading import Chamber, ConstantPressure, ConstantVoltage
+    from .loading import Chamber, ChargeControl, ConstantPressure, ConstantVoltage, PrescribedVolume
     from .materials import (
         ArrudaBoyce,
         ConstantBreakdown,
@@ -63,6 +64,7 @@ if typing.TYPE_CHECKING:
     from .results import Code, SceneError
     from .scene import PARAMETERS, Scene, Window, describe
     from .shooting import shoot
+    from .stability import Stability, stability_of
     from .states import equilibrium
     from .surface import SheetState, Surface
     from .units import VHB_4910, Units

@@ -72,7 +72,7 @@ def continue_scenes(scenes: Sequence[Scene], *, tolerance: float = 1e-8) -> Batc
     """
     check_request(8, tolerance)
     for scene in scenes:
-        if not isinstance(scene, Scene) or isinstance(scene.loading, ConstantVoltage):
+        if not isinstance(scene, Scene) or not isinstance(scene.loading, (Chamber, ConstantPressure)):
             raise ValueError(f"`scenes` must be scenes with a Chamber or a ConstantPressure, but one is {scene!r}.")
     if not scenes:
         raise ValueError("`scenes` must hold at least one scene, but is empty.")

@@ -107,7 +107,7 @@ def find_curves(solver, limits, *, count: int, tolerance: float, extend: bool = 
         complete &= _agrees(membrane, curve, contours, chart)
         curves.append(curve)
     curves = _distinct(membrane, curves)
-    curves.sort(key=lambda c: c.points.volume.min())
+    curves.sort(key=lambda c: c.points.place(contour).min())
     return curves, bool(complete)
 
 

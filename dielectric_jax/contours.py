@@ -137,7 +137,8 @@ class OnSurface:
         unknown = np.full(u.shape[1], np.nan)
         index = np.full(u.shape[1], -1)
         return Points(
-            found[:3], found[3], found[4], found[5], unknown, found[10], found[6:9].T.copy(), index, error, ok
+            *(found[:3], found[3], found[4], found[5], np.full_like(u, np.nan)),
+            *(unknown, found[10], found[6:9].T.copy(), index, error, ok),
         )
 
     def polish(self, u, rows, targets, *, tolerance=1e-9, reach=1.0, refine=False) -> Points:

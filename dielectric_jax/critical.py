@@ -14,6 +14,7 @@ from scipy.optimize import root_scalar
 
 from .contours import OnSurface
 from .equilibria import SCALE, Points
+from .events import FOLDS, brackets, control_line, event_values
 from .stations import Curve, between, hermite, scaled, solve_between
 
 __all__ = ["Located", "fold_events", "loads_beside_folds", "locate", "special_points"]
@@ -36,28 +37,10 @@ class Located:
     error: float
 
 
-def event_values(kind: str, points: Points, target: float = 0.0) -> np.ndarray:
-    """The function of an event on points (lanes,): it vanishes at the event."""
-    if kind == "fold":
-        return points.tangent[:, 2]
-    if kind == "pressure_fold":
-        return points.tangent[:, 1]
-    if kind == "zero_voltage":
-        return points.u[2] / 0.02
-    if kind == "load":
-        return (points.u[2] - target) / 0.02
-    if kind == "breakdown":
-        return points.u[2] * points.field - 1
-    if kind == "hoop_tension_loss":
-        return points.hoop
-    raise ValueError(f"`kind` must be the name of an event, but is {kind!r}.")
-
-
 def fold_events(kind: str, solver, curve: Curve, tolerance: float) -> Curve:
-    """The curve with points added where q (or p) on one interval has a hidden pair of folds."""
-    column = 2 if kind == "fold" else 1
+    """The curve with points added where the control on one interval has a hidden pair of folds."""
     for _ in range(3):
-        x, t = scaled(curve.points.u.T)[:, column], curve.points.tangent[:, column]
+        x, t = control_line(curve.points, FOLDS[kind])
         gap = np.diff(curve.position)
         share = np.linspace(0, 1, 9)[1:-1, None]
         step = 1e-4
@@ -77,13 +60,6 @@ def fold_events(kind: str, solver, curve: Curve, tolerance: float) -> Curve:
         if not len(ok):
             break
     return curve
-
-
-def brackets(curve: Curve, kind: str, target: float = 0.0) -> np.ndarray:
-    """Indices i with a sign change of the event function between points i and i + 1."""
-    f = event_values(kind, curve.points, target)
-    with np.errstate(invalid="ignore"):
-        return np.flatnonzero(((f[:-1] < 0) != (f[1:] < 0)) & np.isfinite(f[:-1]) & np.isfinite(f[1:]))
 
 
 def locate(solver, curves: list[Curve], wanted: list[tuple], tolerance: float, *, certify: bool = True):
@@ -181,7 +157,7 @@ def _predict(curve: Curve, kind: str, interval: int, target: float):
 
 
 def _fold_share(curve: Curve, kind: str, interval: int) -> tuple[float, float] | None:
-    """Share of the interval at which q (or p) turns, and the slope of the tangent's component there by the share.
+    """Share of the interval at which the control turns, and the slope of the tangent's component there by the share.
 
     From ten neighbours; None where they do not run one way.
 
@@ -191,8 +167,11 @@ def _fold_share(curve: Curve, kind: str, interval: int) -> tuple[float, float] |
     if first < 0:
         return None
     x = scaled(curve.points.u[:, first : first + 10].T)
-    column = 2 if kind == "fold" else 1
+    column = FOLDS[kind]
     along = max((c for c in range(3) if c != column), key=lambda c: abs(curve.points.tangent[interval, c]))
+    if column == 3:
+        near = curve.points.take(slice(first, first + 10))
+        x = np.column_stack([x, near.control(3) / (near.charge_per_voltage[interval - first] ** 2 * SCALE[2])])
     middle, half = (x[0, along] + x[-1, along]) / 2, (x[-1, along] - x[0, along]) / 2
     s = (x[:, along] - middle) / half
     if not (np.diff(s) > 0).all():
@@ -201,11 +180,11 @@ def _fold_share(curve: Curve, kind: str, interval: int) -> tuple[float, float] |
     slope, i = line[column].deriv(), interval - first
     if not slope(s[i]) * slope(s[i + 1]) < 0:
         return None
-    chord = x[i + 1] - x[i]
+    chord = x[i + 1, :3] - x[i, :3]
     root = root_scalar(slope, bracket=(s[i], s[i + 1]), xtol=1e-13).root
-    at, rate = (np.array([f(root) for f in lines]) for lines in (line, [f.deriv() for f in line]))
+    at, rate = (np.array([f(root) for f in lines[:3]]) for lines in (line, [f.deriv() for f in line]))
     per_share = (chord @ chord) / (rate @ chord)
-    return float((at - x[i]) @ chord / (chord @ chord)), float(
+    return float((at - x[i, :3]) @ chord / (chord @ chord)), float(
         slope.deriv()(root) / np.linalg.norm(rate) * per_share * np.sign(per_share)
     )
 
@@ -375,13 +354,14 @@ def loads_beside_folds(solver, curves, located, kind: str, target: float, tolera
     """
     lines, wanted, missed = list(curves), [], []
     for fold in located:
-        if fold.kind != "fold":
+        if fold.kind not in ("fold", "charge_fold"):
             continue
-        line, load = lines[fold.branch], float(fold.point.u[2, 0])
+        line, column = lines[fold.branch], FOLDS[fold.kind]
+        load = float(fold.point.control(column)[0])
         i = int(np.searchsorted(line.position, fold.position)) - 1
         if not 0 <= i < len(line.position) - 1:
             continue
-        above = line.points.u[2, i : i + 2] > target
+        above = line.points.control(column)[i : i + 2] > target
         doubt = fold.error * max(abs(load), 1e-3)
         if above[0] != above[1]:
             continue

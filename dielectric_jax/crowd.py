@@ -6,10 +6,11 @@ import typing
 import jax
 import numpy as np
 
-from .equilibria import CONTRACTION, SCALE, difficulty, estimated_error, index_of
+from .equilibria import CONTRACTION, SCALE, difficulty, estimated_error
 from .lanes import FOLD, limits_program, meet_program
 from .loading import Contour
 from .membrane import Membrane
+from .stability import index_of
 
 __all__ = ["LANES", "Crowd", "Met"]
 

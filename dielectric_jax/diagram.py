@@ -9,9 +9,18 @@ import numpy as np
 
 from .branches import find_curves
 from .contours import OnSurface
-from .critical import Located, brackets, fold_events, loads_beside_folds, locate, special_points
+from .critical import fold_events, special_points
 from .equilibria import Shooting
-from .loading import Chamber, ConstantPressure, ConstantVoltage, Contour
+from .loading import (
+    Chamber,
+    ChargeControl,
+    ConstantPressure,
+    ConstantVoltage,
+    Contour,
+    PrescribedVolume,
+    control_of,
+    mechanical,
+)
 from .materials import largest_load
 from .membrane import Membrane
 from .plotting import plot_diagram
@@ -19,7 +28,16 @@ from .ramp import build_ramp, build_way_back, flat_ramp
 from .records import Branch, Ramp, SpecialPoint, State, plain
 from .results import Code, SceneError
 from .scene import SCANNED_LOAD, Scene, Window, describe
-from .states import check_concrete, check_request, check_surface, flat_state, states_of, too_flat
+from .solved import Solved, special_record
+from .states import (
+    check_concrete,
+    check_reachable,
+    check_request,
+    check_surface,
+    flat_state,
+    states_of,
+    too_flat,
+)
 from .states import filling as filling_of
 from .stations import Curve
 from .surface import Surface
@@ -51,9 +69,9 @@ class Diagram:
     _solver: object = None
 
     def ramp(self, direction: str = "up", start: State | None = None) -> Ramp:
-        """What a slow ramp of the voltage does: "up" from zero, or "down" from `start`.
+        """What a slow ramp of the control, voltage or charge, does: "up" from zero, or "down" from `start`.
 
-        By default the way down starts halfway in voltage between the last landing (else the start) and the end of the way up.
+        By default the way down starts halfway in the control between the last landing (else the start) and the end of the way up.
         Raises ValueError for a pressure–volume curve, and where there is no way down.
         """
         if direction not in ("up", "down"):
@@ -73,6 +91,11 @@ class Diagram:
         return self._down
 
     @property
+    def control(self) -> str:
+        """What a ramp changes: "voltage" or "charge"; "pressure" for a pressure–volume curve."""
+        return control_of(self.scene.loading)
+
+    @property
     def events(self) -> tuple:
         """Events of the way up, then of the way down."""
         return (self._up.events if self._up else ()) + (self._down.events if self._down else ())
@@ -89,7 +112,7 @@ class Diagram:
 
     def gas_pressure(self, volume) -> np.ndarray | None:
         """The pressure of the chamber's gas at `volume`; None where the pressure is held."""
-        if not isinstance(self.scene.loading, Chamber) or self.contour is None:
+        if not isinstance(mechanical(self.scene.loading), Chamber) or self.contour is None:
             return None
         return np.asarray(self.contour.gas_pressure(np.asarray(volume, float)))
 
@@ -100,7 +123,7 @@ class Diagram:
     def to_json(self, units: Units | None = None) -> dict:
         """The JSON document of the contract; with `units` its quantities are in SI, named under "unit_names"."""
         stretches, _, loads = self.limits
-        ramp = None if self._up is None else [e.to_json() for e in self.events]
+        ramp = None if self._up is None else [e.to_json(self.control) for e in self.events]
         document = plain(
             {
                 "scene": describe(self.scene),
@@ -134,68 +157,6 @@ class Diagram:
 
 
 _STATIONS = 256  # of a branch, at least: special points are sought between them
-
-
-def _special(located: Located, tolerance: float) -> SpecialPoint:
-    state = states_of(located.point, tolerance)[0]
-    kind = "fold" if located.kind == "pressure_fold" else located.kind
-    values = {f: getattr(state, f) for f in State.__dataclass_fields__}
-    values["index"] = None if kind == "fold" else state.index
-    values["error_estimate"] = located.error
-    if kind == "zero_voltage":
-        values |= {"voltage_squared": 0.0, "charge": 0.0, "breakdown_ratio": 0.0}
-    values["flags"] = ("error_above_tolerance",) if not located.error <= tolerance else ()
-    return SpecialPoint(**values, kind=kind, branch=located.branch, position=located.position)
-
-
-@dataclasses.dataclass
-class Solved:
-    """What ramps need of a scene: the engine, exact branches, located points."""
-
-    solver: Shooting | OnSurface
-    curves: list[Curve]
-    located: list[Located]
-    missed: list[tuple]
-    tolerance: float
-    certify: bool = True
-
-    def states_at_load(self, voltage_squared: float) -> list[Located]:
-        """All states at one q, on all branches."""
-        wanted = [
-            ("load", b, int(i), voltage_squared)
-            for b, curve in enumerate(self.curves)
-            for i in brackets(curve, "load", voltage_squared)
-        ]
-        found, missed = locate(self.solver, self.curves, wanted, self.tolerance, certify=self.certify)
-        beside = (self.solver, self.curves, self.located, "load", voltage_squared, self.tolerance)
-        more, lost = loads_beside_folds(*beside, certify=self.certify)
-        self.missed.extend(missed + lost)
-        return found + more
-
-    def start_beside_fold(self, volume: float) -> Located | None:
-        """The start of a chamber of this volume at zero voltage where it is nearer to a fold than the fold's own error.
-
-        Its index tells on which side it lies.
-        """
-        near = [p for p in self.located if p.kind == "fold" and abs(float(p.point.u[2, 0])) < 1e-9]
-        fold = min(near, key=lambda p: abs(p.point.volume[0] - volume), default=None)
-        if fold is None:
-            return None
-        engine = self.solver.shooting if isinstance(self.solver, OnSurface) else self.solver
-        row = np.full((1, 3), np.nan)
-        point = engine.polish(fold.point.u, row, np.array([volume]), tolerance=self.tolerance, reach=0.1)
-        if not (point.ok[0] and abs(point.u[2, 0]) < 1e-9):
-            return None
-        curve = self.curves[fold.branch]
-        i = int(np.clip(np.searchsorted(curve.position, fold.position), 1, len(curve.position) - 1))
-        side = 1.0 if curve.points.index[i - 1] == 0 else -1.0  # along which the stable states come to the fold
-        point.tangent[0, 2] = side * abs(point.tangent[0, 2])
-        position = fold.position - 1e-6 * side
-        return Located("zero_voltage", fold.branch, position, point, float(point.error[0]))
-
-    def state(self, located: Located) -> State:
-        """The record of a located state."""
-        return _special(located, self.tolerance)
 
 
 def _branches(solved: Solved, points: int) -> list[Branch]:
@@ -273,8 +234,10 @@ def voltage_volume(
     certify: bool = True,
     extend: bool = True,
 ) -> Diagram:
-    """The voltage–volume diagram of a membrane on a chamber or at constant pressure, with its special points and ramp.
+    """The voltage–volume diagram of a membrane under a loading, with its special points and ramp.
 
+    The loading is a chamber, a constant pressure or a prescribed volume; under `ChargeControl` folds, indices and the ramp
+    are those of the charge.
     Arguments: `points` a branch; `tolerance` of the error estimate, from 1e-12 to 1e-3. With a `surface` of the scene's
     membrane, branches are contours on it, met by Newton without stepping; where they leave its domain shooting goes on,
     or with `extend=False` they end there. `certify` polishes special points by shooting; the correction is part of their
@@ -295,31 +258,35 @@ def voltage_volume(
     check_concrete(scene)
     loading = scene.loading
     if isinstance(loading, ConstantVoltage):
-        raise ValueError(
-            "`loading` must be a Chamber or a ConstantPressure here, but is a ConstantVoltage; see pressure_volume."
-        )
+        raise ValueError("`loading` must not hold the voltage here, but is a ConstantVoltage; see pressure_volume.")
     check_surface(surface, scene.membrane)
+    if surface is not None and isinstance(loading, ChargeControl):
+        raise ValueError("`surface` must be left out under charge control, which continuation follows.")
     limits = scene.limits()
     warm_up(scene.membrane)
     filling = filling_of(scene, tolerance)
     if filling == (0.0, 0.0):
         return _flat_diagram(scene, limits, points, tolerance)
-    kinds = ("fold", "zero_voltage", "breakdown", "hoop_tension_loss")
+    fold = "charge_fold" if isinstance(loading, ChargeControl) else "fold"
+    kinds = (fold, "zero_voltage", "breakdown", "hoop_tension_loss")
     solver = _solver(scene.membrane, loading.contour(*filling), surface)
     try:
         solved, complete = _solve(solver, limits, kinds, points, tolerance, certify, extend)
     except SceneError:
-        if isinstance(loading, ConstantPressure) and too_flat(scene.membrane, "pressure", float(loading.pressure)):
+        held = mechanical(loading)
+        if isinstance(held, ConstantPressure) and too_flat(scene.membrane, "pressure", float(held.pressure)):
             raise SceneError(Code.near_flat) from None
+        if isinstance(held, PrescribedVolume):
+            check_reachable(scene.membrane, float(held.volume))
         raise
-    up, down = build_ramp(solved, filling[1] if isinstance(loading, Chamber) else None)
+    up, down = build_ramp(solved, filling[1] if isinstance(mechanical(loading), Chamber) else None)
     return _diagram("voltage-volume", scene, solved, complete, points, _up=up, _down=down)
 
 
 def _diagram(kind: str, scene: Scene, solved: Solved, complete: bool, points: int, **more) -> Diagram:
     """The diagram of what was solved."""
     engine = "surface" if isinstance(solved.solver, OnSurface) else "continuation"
-    special = [_special(p, solved.tolerance) for p in solved.located]
+    special = [special_record(p, solved.tolerance) for p in solved.located]
     fixed = {
         "tolerance": solved.tolerance,
         "limits": scene.limits(),

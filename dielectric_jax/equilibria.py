@@ -15,8 +15,16 @@ import numpy as np
 from .loading import Contour
 from .materials import largest_load
 from .membrane import Membrane
-from .programs import await_programs, careful_program, jacobian_program, run_chunks, value_program
+from .programs import (
+    await_programs,
+    careful_program,
+    charge_program,
+    jacobian_program,
+    run_chunks,
+    value_program,
+)
 from .scene import SCANNED_LOAD
+from .stability import control_rate, index_of
 
 __all__ = ["Points", "Shooting", "largest_on", "load_fraction", "locking_stretch", "polish"]
 
@@ -44,13 +52,15 @@ class Points:
     """States of many lanes as columns of shape (lanes,), with what locating special points needs.
 
     `u` is (3, lanes), `tangent` the unit null vector in scaled unknowns (lanes, 3), `error` the relative error of p, V, q
-    at fixed λa, `error_of` those errors one by one (3, lanes), `ok` whether Newton converged.
+    at fixed λa, `ok` whether Newton converged. `charge_slopes` (3, lanes) are the derivatives of C = Q/Φ by (λa, p, q), NaN
+    unless the charge is controlled. `index` is −1 where it is not known or not valid.
     """
 
     u: np.ndarray
     volume: np.ndarray
     height: np.ndarray
     charge_per_voltage: np.ndarray
+    charge_slopes: np.ndarray
     hoop: np.ndarray
     field: np.ndarray
     tangent: np.ndarray
@@ -61,6 +71,17 @@ class Points:
     def __len__(self) -> int:
         return self.u.shape[1]
 
+    def control(self, column: int) -> np.ndarray:
+        """A control: λa, p or q, column 0 to 2, or Q² = q C² as column 3."""
+        return self.u[2] * self.charge_per_voltage**2 if column == 3 else self.u[column]
+
+    def control_slope(self, column: int) -> np.ndarray:
+        """Its slope along the tangent in scaled units; that of Q² without its factor C²."""
+        if column != 3:
+            return self.tangent[:, column]
+        along = (self.tangent * SCALE).T
+        return control_rate(self.u[2], along, self.charge_per_voltage, self.charge_slopes) / SCALE[2]
+
     def take(self, which) -> "Points":
         """The lanes `which`, an index array or slice."""
         return Points(
@@ -69,6 +90,10 @@ class Points:
                 for f in dataclasses.fields(self)
             }
         )
+
+    def place(self, contour: Contour) -> np.ndarray:
+        """By what states of a loading are told apart: the volume, or the apex stretch where the volume is held."""
+        return self.u[0] if float(contour.volume_weight) != 0 else self.volume
 
     @staticmethod
     def join(parts: list["Points"]) -> "Points":
@@ -116,19 +141,6 @@ def tangents(jacobian: np.ndarray) -> np.ndarray:
     null = np.cross(a, b)
     with np.errstate(all="ignore"):
         return null / np.linalg.norm(null, axis=1, keepdims=True)
-
-
-def index_of(zeros, jacobian, columns, volume, contour):
-    """Morse index under the loading: zeros of ∂λ2/∂λa, less one where the gas stiffens the mode.
-
-    With a = ∂λ2(1)/∂λa and b = ∂λ2(1)/∂p: 1 + k dV/dp|q = (a + k (V_p a − V_a b))/a; the parity of the zeros is a's sign.
-    """
-    a, b = jacobian[:, 0, 0], jacobian[:, 0, 1]
-    zeros = zeros + ((zeros % 2 == 1) != (a < 0))  # a zero that a step at the rim hides
-    k = contour.gas_stiffness(volume)
-    with np.errstate(all="ignore"):
-        gain = (a + k * (columns[1, 1] * a - columns[0, 1] * b)) / a
-    return np.where(gain < 0, zeros - 1, zeros)
 
 
 def estimated_error(
@@ -294,7 +306,8 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, level, refine
     newton(active, coarse, _TRIES[level])
     settled &= np.isfinite(u).all(axis=0)
     result = [volume.copy(), *(np.full(lanes, np.nan) for _ in range(4))]
-    admissible = np.zeros(lanes, bool)
+    admissible, elliptic = np.zeros(lanes, bool), np.zeros(lanes, bool)
+    charge_slopes = np.full((3, lanes), np.nan)
     change_of_volume = np.full(lanes, np.nan)
     chord = np.zeros(lanes)  # what is left of the chord steps, relative
     discretisation = np.full((lanes, 2), np.nan)  # change of (rim condition, condition) from the coarser grid
@@ -317,7 +330,7 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, level, refine
             change_of_volume[working[begin]] = np.abs(vol - result[0][working])[begin]
             u[:, working] += move.T
             vol = vol + np.einsum("il,li->l", columns[:, 1][:, working], move)
-            for store, values in zip([*result, admissible], [vol, *rest], strict=False):
+            for store, values in zip([*result, admissible, elliptic], [vol, *rest], strict=False):
                 store[working] = values
             # what the next chord step would move is smaller by the error of the Jacobian
             moved = _relative(move, u[:, working])
@@ -355,8 +368,25 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, level, refine
             if exponent != ADAPTIVE[0]:
                 estimate_errors(active)
                 active = active[~(estimate[active] <= tolerance)]
+    control = contour.control
+
+    def points() -> Points:
+        tangent, charge = tangents(matrix[:, :2]), (u[2], result[2], charge_slopes) if control == 3 else None
+        index = index_of(zeros, matrix, columns, result[0], contour, charge)
+        drift = np.linalg.norm((u - start).T / SCALE, axis=1)
+        ok = settled & np.isfinite(u).all(axis=0) & np.isfinite(result[0]) & (drift < 2 * reach) & admissible
+        known = np.where(elliptic, index, -1)
+        return Points(u, *result[:3], charge_slopes, *result[3:], tangent, known, estimate, ok)  # pyright: ignore[reportCallIssue]
+
+    def measure_charge(which, steps):
+        if control == 3 and len(which):
+            _, charge_slopes[:, which] = run_chunks(
+                lambda part: charge_program(membrane.material, part, steps), u[:, which]
+            )
+
+    measure_charge(np.flatnonzero(settled), coarse)
     with np.errstate(invalid="ignore"):
-        refine = refine | (np.abs(tangents(matrix[:, :2])[:, contour.control]) < _NEAR_FOLD)
+        refine = refine | (np.abs(points().control_slope(control)) < _NEAR_FOLD)
     which = np.flatnonzero(settled & refine)
     if len(which):
         steps = _REFINED[level]
@@ -364,17 +394,5 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, level, refine
             lambda part: jacobian_program(membrane.material, part, steps), u[:, which]
         )
         _, matrix[which] = system(which, lag, vol, columns[..., which])
-    drift = np.linalg.norm((u - start).T / SCALE, axis=1)
-    ok = settled & np.isfinite(u).all(axis=0) & np.isfinite(result[0]) & (drift < 2 * reach) & admissible
-    return Points(
-        u=u,
-        volume=result[0],
-        height=result[1],
-        charge_per_voltage=result[2],
-        hoop=result[3],
-        field=result[4],
-        tangent=tangents(matrix[:, :2]),
-        index=index_of(zeros, matrix, columns, result[0], contour),
-        error=estimate,
-        ok=ok,
-    )
+        measure_charge(which, steps)
+    return points()

@@ -14,7 +14,17 @@ import numpy as np
 from .materials import Scalar, as_scalar, is_concrete
 from .results import check_positive
 
-__all__ = ["AbstractLoading", "Chamber", "ConstantPressure", "ConstantVoltage", "Contour"]
+__all__ = [
+    "AbstractLoading",
+    "Chamber",
+    "ChargeControl",
+    "ConstantPressure",
+    "ConstantVoltage",
+    "Contour",
+    "PrescribedVolume",
+    "control_of",
+    "mechanical",
+]
 
 
 def _namespace(*values):
@@ -23,9 +33,10 @@ def _namespace(*values):
 
 
 class Contour(eqx.Module):
-    """The condition a (p − p_gas(V)) + b (q − q*) = 0 with the gas of a closed chamber, eq. (24).
+    """The condition a (p − p_gas(V)) + b (q − q*) + c (V − V*) = 0 with the gas of a closed chamber, eq. (24).
 
-    (p_gas + p_atm)(V + V_C)ⁿ = (p_0 + p_atm)(V_0 + V_C)ⁿ; an exponent n = 0 is a gas of constant pressure.
+    (p_gas + p_atm)(V + V_C)ⁿ = (p_0 + p_atm)(V_0 + V_C)ⁿ; an exponent n = 0 is a gas of constant pressure. Charge
+    control draws the same contour; `charge` is 1 for it, else 0: it decides which points are folds, and the index.
     """
 
     pressure_weight: Scalar
@@ -36,6 +47,9 @@ class Contour(eqx.Module):
     initial_volume: Scalar
     atmospheric_pressure: Scalar
     exponent: Scalar
+    volume_weight: Scalar
+    volume: Scalar
+    charge: Scalar
 
     def gas_pressure(self, volume):
         """p_gas(V), written so that nothing cancels for a huge chamber; elementwise."""
@@ -53,18 +67,20 @@ class Contour(eqx.Module):
 
     @property
     def control(self) -> int:
-        """Which of (λa, p, q) is the control, at whose folds the index changes: p where the voltage is held, else q."""
-        return 1 if float(self.load_weight) != 0 else 2
+        """Which of (λa, p, q, Q²) is the control, at whose folds the index changes: p where the voltage is held."""
+        return 1 if float(self.load_weight) != 0 else 3 if float(self.charge) != 0 else 2
 
     def residual(self, pressure, volume, voltage_squared):
         """The condition; elementwise."""
-        return self.pressure_weight * (pressure - self.gas_pressure(volume)) + self.load_weight * (
-            voltage_squared - self.load
+        return (
+            self.pressure_weight * (pressure - self.gas_pressure(volume))
+            + self.load_weight * (voltage_squared - self.load)
+            + self.volume_weight * (volume - self.volume)
         )
 
     def slopes(self, volume):
         """Derivatives of the residual by p, V and q."""
-        return self.pressure_weight, self.gas_stiffness(volume), self.load_weight
+        return self.pressure_weight, self.gas_stiffness(volume) + self.volume_weight, self.load_weight
 
 
 class AbstractLoading(eqx.Module):
@@ -141,3 +157,54 @@ class Chamber(AbstractLoading):
             atmospheric_pressure=self.atmospheric_pressure,
             exponent=self.polytropic_exponent,
         )
+
+
+class PrescribedVolume(AbstractLoading):
+    """The volume under the membrane is held and the voltage controlled: V = `volume`, as with a liquid beneath it.
+
+    The pressure is what the membrane needs.
+    """
+
+    volume: Scalar = eqx.field(converter=as_scalar)
+
+    def __check_init__(self):
+        if is_concrete(self.volume):
+            check_positive("volume", float(self.volume), zero=True)
+
+    def contour(self, initial_pressure=None, initial_volume=None):
+        return _contour(volume_weight=1 / self.volume, volume=self.volume)
+
+
+class ChargeControl(AbstractLoading):
+    """The charge Q on the electrodes is controlled instead of the voltage; `loading` is what the membrane rests on.
+
+    Equilibria are those of `loading` under voltage. Other points are folds, the extremes of Q, and more states are
+    stable: U + Q²/(2C) takes the place of U − CΦ²/2, with C = Q/Φ.
+
+    >>> ChargeControl(ConstantPressure(1.0)).loading.pressure
+    array(1.)
+    """
+
+    loading: AbstractLoading
+
+    def __check_init__(self):
+        if not isinstance(self.loading, (Chamber, ConstantPressure, PrescribedVolume)):
+            raise ValueError(
+                "`loading` of a ChargeControl must be a Chamber, a ConstantPressure or a PrescribedVolume, but is "
+                f"{self.loading!r}."
+            )
+
+    def contour(self, initial_pressure=None, initial_volume=None):
+        return dataclasses.replace(self.loading.contour(initial_pressure, initial_volume), charge=as_scalar(1.0))
+
+
+def mechanical(loading: AbstractLoading) -> AbstractLoading:
+    """How pressure and volume answer, whatever is controlled on the electrodes."""
+    return loading.loading if isinstance(loading, ChargeControl) else loading
+
+
+def control_of(loading: AbstractLoading) -> str:
+    """What a ramp changes: "pressure", "voltage" or "charge"."""
+    if isinstance(loading, ConstantVoltage):
+        return "pressure"
+    return "charge" if isinstance(loading, ChargeControl) else "voltage"

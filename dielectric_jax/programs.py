@@ -10,11 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from .kept import kept_jit
-from .materials import stresses
+from .materials import ArrudaBoyce, Gent, NeoHookean, stresses
 from .membrane import Membrane, field_ratio_squared, slopes
 from .shooting import COLUMNS, eighth_order_step, integrate_membrane
 
-__all__ = ["careful_program", "compile_ahead", "jacobian_program", "run_chunks", "value_program"]
+__all__ = ["careful_program", "charge_program", "compile_ahead", "jacobian_program", "run_chunks", "value_program"]
 
 CHUNK = 32  # lanes of one call; one compiled program serves every count of points
 
@@ -28,6 +28,14 @@ def jacobian_program(material, u, steps):
     change = jnp.isfinite(times[1:])[:, None] & (sensitivity[1:] * sensitivity[:-1] < 0)
     columns = jnp.stack([jnp.stack(shot.columns[c]) for c in COLUMNS])
     return shot.lag, shot.volume, columns, jnp.sum(change, axis=0)
+
+
+@kept_jit
+def charge_program(material, u, steps):
+    """C = Q/Φ and its derivatives (3, lanes) by (λa, p, q)."""
+    apex, p, q = u
+    shot = integrate_membrane(material, apex, p, q, steps, columns=COLUMNS, outputs=True)
+    return shot.charge, jnp.stack([shot.columns[c][2] for c in COLUMNS])
 
 
 def _least_inside(values, rates):
@@ -68,7 +76,7 @@ def careful_program(membrane, u, exponent):
 
 @kept_jit
 def value_program(membrane, u, steps):
-    """lag, V, height, C = Q/Φ, least σ2 and largest (E/E_EB)²/q along the membrane, stretches admissible."""
+    """lag, V, height, C = Q/Φ, least σ2 and largest (E/E_EB)²/q along the membrane, stretches admissible, and elliptic."""
     apex, p, q = u
     material = membrane.material
     shot = integrate_membrane(material, apex, p, q, steps, outputs=True, trail="profile")
@@ -86,8 +94,15 @@ def value_program(membrane, u, steps):
 
     functions = (hoop, field)
 
+    def is_elliptic(l1, l2):
+        # W(I1) with W' > 0 and W'' ≥ 0 is elliptic wherever it is in tension
+        if isinstance(material, (Gent, NeoHookean, ArrudaBoyce)):
+            return jnp.ones_like(l1, bool)
+        s1, _, s11, _ = stresses(material, l1, l2, q)
+        return (s1 > 0) & (s11 > 0)
+
     def search(block, found):
-        least, places, admissible = found
+        least, places, admissible, elliptic = found
         begin = block * _BLOCK
         tau = jax.lax.dynamic_slice_in_dim(times, begin, _BLOCK + 2)
         rows = jax.lax.dynamic_slice_in_dim(values, begin, _BLOCK + 2)
@@ -105,12 +120,13 @@ def value_program(membrane, u, steps):
             new_places.append((jnp.where(best < old, node, old_node), jnp.where(best < old, x, old_x)))
             new_least.append(best)
         inside = jnp.all(material.admissible(l1, l2) | ~done, axis=0)
-        return new_least, new_places, admissible & inside
+        elliptic &= jnp.all(is_elliptic(l1, l2) | ~done, axis=0)
+        return new_least, new_places, admissible & inside, elliptic
 
     count = jnp.sum(jnp.isfinite(times))
     nowhere = (jnp.zeros(apex.shape, int), jnp.zeros(apex.shape))
-    begin = [f(apex, apex) for f in functions], [nowhere] * 2, material.admissible(apex, apex)
-    least, places, admissible = jax.lax.fori_loop(0, (count - 2 + _BLOCK - 1) // _BLOCK, search, begin)
+    begin = [f(apex, apex) for f in functions], [nowhere] * 2, material.admissible(apex, apex), is_elliptic(apex, apex)
+    least, places, admissible, elliptic = jax.lax.fori_loop(0, (count - 2 + _BLOCK - 1) // _BLOCK, search, begin)
 
     def rates(tau, y):
         radius, stretching = along.position(tau)
@@ -124,7 +140,7 @@ def value_program(membrane, u, steps):
         y = jnp.take_along_axis(values, node[None, None], axis=0)[0]
         y = eighth_order_step(rates, tau, jnp.where(inner, x / steps, 0.0), y)
         least[k] = jnp.where(inner, function(apex + y[0], apex + y[1]), least[k])
-    return shot.lag, shot.volume, shot.height, shot.charge, least[0], -least[1], admissible
+    return shot.lag, shot.volume, shot.height, shot.charge, least[0], -least[1], admissible, elliptic
 
 
 @functools.cache

@@ -2,6 +2,7 @@
 
 Words as in the documentation: the way up starts at zero voltage; at a fold the membrane snaps to the state of index 0 at
 the same voltage that is nearest in volume in the direction of the jump; the way down is the same with the voltage falling.
+Under charge control the same is said of the charge, and where the volume is held of the apex stretch for the volume.
 """
 
 import math
@@ -14,6 +15,12 @@ from .states import states_of
 __all__ = ["build_ramp", "build_way_back", "flat_ramp"]
 
 _MOST_JUMPS = 50
+_SAME = 1e-3  # of the apex stretch: beside a fold it is the vaguer
+
+
+def _control_of(solved, state: State) -> float:
+    """The voltage, or the charge where that is controlled."""
+    return state.charge if solved.control == 3 else state.voltage
 
 
 def _strain(state: State, start: State) -> float:
@@ -21,12 +28,12 @@ def _strain(state: State, start: State) -> float:
 
 
 def _walk(solved, here, rising: bool):
-    """Events along the branch of `here` with the load rising or falling: the next fold, breakdown, zero, or None.
+    """Events along the branch of `here` with the control rising or falling: the next fold, breakdown, zero, or None.
 
     Returns (kind, located or None, side): side is the direction in arclength.
     """
     curve = solved.curves[here.branch]
-    slope = here.point.tangent[0, 2]
+    slope = here.point.control_slope(solved.control)[0]
     side = 1.0 if (slope > 0) == rising else -1.0
     ahead = [
         p
@@ -38,7 +45,7 @@ def _walk(solved, here, rising: bool):
     if closed:
         behind = [p for p in solved.located if p.branch == here.branch and p not in ahead and p is not here]
         ahead += sorted(behind, key=lambda p: p.position * side)
-    stops = ("fold", "breakdown") if rising else ("fold", "zero_voltage")
+    stops = (solved.fold_kind, "breakdown" if rising else "zero_voltage")
     for p in ahead:
         if p.kind in stops and p is not here:
             return p.kind, p, side
@@ -51,14 +58,13 @@ def _end_of(solved, here, side) -> State:
 
 
 def _land(solved, fold, side):
-    """The index-0 state at the fold's load nearest in volume in the direction of the jump, or None."""
-    point = fold.point
+    """The index-0 state at the fold's control nearest in volume in the direction of the jump, or None."""
     curve = solved.curves[fold.branch]
     i = int(np.clip(np.searchsorted(curve.position, fold.position), 1, len(curve.position) - 1))
-    direction = side * np.sign(curve.points.volume[i] - curve.points.volume[i - 1])
+    direction = side * np.sign(np.diff(curve.points.place(solved.solver.contour)[i - 1 : i + 1])[0])
     found = []
-    for other in solved.states_at_load(float(point.u[2, 0])):
-        jump = (other.point.volume[0] - point.volume[0]) * direction
+    for other in solved.states_at(solved.control_at(fold)):
+        jump = (solved.place(other) - solved.place(fold)) * direction
         same = other.branch == fold.branch and abs(other.position - fold.position) < 1e-4
         if jump > 0 and not same and other.point.index[0] == 0:
             found.append((jump, other))
@@ -109,7 +115,7 @@ def build_ramp(solved, initial_volume: float | None) -> tuple[Ramp, Ramp | None]
         if start is None or not abs(start.point.volume[0] / initial_volume - 1) < 1e-5:
             start = solved.start_beside_fold(initial_volume)
     else:
-        zeros.sort(key=lambda p: p.point.volume[0])
+        zeros.sort(key=solved.place)
         stable = [p for p in zeros if p.point.index[0] == 0]
         start = stable[0] if stable else zeros[0] if zeros else None
     if start is None:
@@ -123,12 +129,13 @@ def build_ramp(solved, initial_volume: float | None) -> tuple[Ramp, Ramp | None]
     down = None
     if last is not None:
         begin = landing or first
-        middle = (begin.voltage + events[-1].state.voltage) / 2
-        if math.isfinite(middle) and middle > begin.voltage:
+        first, last_held = (_control_of(solved, s) for s in (begin, events[-1].state))
+        middle = (first + last_held) / 2
+        if math.isfinite(middle) and middle > first:
             _, _, side = _walk(solved, last, True)
             ahead = [
                 p
-                for p in solved.states_at_load(middle**2)
+                for p in solved.states_at(middle**2)
                 if p.branch == last.branch and (p.position - last.position) * side > 0
             ]
             if ahead:
@@ -149,7 +156,11 @@ def build_way_back(solved, start: State) -> Ramp:
     """
     if solved is None or not start.voltage > 0:
         raise ValueError(f"`start` must be an equilibrium at a positive voltage, but is {start!r}.")
-    near = [p for p in solved.states_at_load(start.voltage_squared) if abs(p.point.volume[0] / start.volume - 1) < 1e-6]
+    near = [
+        p
+        for p in solved.states_at(_control_of(solved, start) ** 2)
+        if abs(p.point.volume[0] / start.volume - 1) < 1e-6 and abs(p.point.u[0, 0] / start.apex_stretch - 1) < _SAME
+    ]
     if not near:
         raise ValueError(f"`start` must be an equilibrium of this diagram, but is {start!r}.")
     return _way_back(solved, near[0])

@@ -52,7 +52,7 @@ def voltage_of(voltage_squared):
 
 @dataclasses.dataclass(frozen=True)
 class State:
-    """One equilibrium, dimensionless. `index` is None where it is not defined (at a fold)."""
+    """One equilibrium, dimensionless. `index` is None where it is not defined (at a fold) or not valid."""
 
     voltage_squared: float
     pressure: float
@@ -135,6 +135,7 @@ class Branch:
     def to_json(self) -> dict:
         """Columns under the names of the JSON contract."""
         out: dict[str, Any] = {name: getattr(self, name) for name in QUANTITIES}
+        out["index"] = [None if i < 0 else int(i) for i in self.index]
         return plain(out | {"start": self.start.name, "end": self.end.name, "flags": list(self.flags)})
 
     def __repr__(self) -> str:
@@ -154,11 +155,12 @@ class Event:
     state: State
     reason: str | None = None
 
-    def to_json(self) -> dict:
-        """The event under the names of the JSON contract."""
+    def to_json(self, control: str = "voltage") -> dict:
+        """The event under the names of the JSON contract, with the charge where that is the control."""
         s = self.state
+        controls = {"charge": s.charge} if control == "charge" else {}
         return plain(
-            {"event": self.event, "direction": self.direction, "voltage": s.voltage, "pressure": s.pressure}
+            {"event": self.event, "direction": self.direction, "voltage": s.voltage, **controls, "pressure": s.pressure}
             | {"volume": s.volume, "apex_stretch": s.apex_stretch, "breakdown_ratio": s.breakdown_ratio}
             | {"error_estimate": s.error_estimate, "reason": self.reason}
         )
@@ -166,7 +168,7 @@ class Event:
 
 @dataclasses.dataclass(frozen=True)
 class Ramp:
-    """What an experiment sees as the voltage rises (or falls) slowly: events in order, and the area strain."""
+    """What an experiment sees as its control rises (or falls) slowly: events in order, and the area strain."""
 
     events: tuple[Event, ...]
     area_strain: float | None = None

@@ -8,13 +8,24 @@ import typing
 import equinox as eqx
 import numpy as np
 
-from .loading import AbstractLoading, Chamber, ConstantPressure, ConstantVoltage
+from .loading import (
+    AbstractLoading,
+    Chamber,
+    ChargeControl,
+    ConstantPressure,
+    ConstantVoltage,
+    PrescribedVolume,
+    control_of,
+    mechanical,
+)
 from .materials import ArrudaBoyce, ConstantBreakdown, CustomMaterial, Gent, NeoHookean, VHBBreakdown
 from .membrane import Membrane
 from .units import Units, is_concrete
 
 __all__ = ["PARAMETERS", "Scene", "Window", "describe"]
 
+#: loadings whose fields share a name
+_OWNERS = {"chamber_volume": Chamber, "volume": PrescribedVolume}
 SCANNED_LOAD = 0.9  # the scan covers load fractions up to this
 
 #: every continuous parameter of a scene, and where it lives; the last four, in SI, where the scene carries `units`
@@ -25,6 +36,7 @@ PARAMETERS = {
     "atmospheric_pressure": ("loading", "atmospheric_pressure"),
     "polytropic_exponent": ("loading", "polytropic_exponent"),
     "pressure": ("loading", "pressure"),
+    "volume": ("loading", "volume"),
     "prestretch": ("membrane", "prestretch"),
     "breakdown_field_scale": ("membrane", "breakdown", "scale"),
     "stretch_limit": ("membrane", "material", "stretch_limit"),
@@ -129,7 +141,10 @@ class Scene(eqx.Module):
             path = PARAMETERS.get(name)
             if path is None:
                 raise ValueError(f"`{name}` must be one of {', '.join(PARAMETERS)}, but is not a parameter of a scene.")
-            if not _has(scene, path):
+            own = _OWNERS.get(name, AbstractLoading)
+            if isinstance(scene.loading, ChargeControl) and path[0] == "loading":
+                path = ("loading", *path)
+            if not (_has(scene, path) and isinstance(mechanical(scene.loading), own)):
                 raise ValueError(
                     f"`{name}` must be a parameter of this scene, but its {path[0]} has none of that name."
                     if path[0] != "units" or self.units is not None
@@ -246,11 +261,13 @@ def describe(what: Scene | Membrane) -> dict:
         return out
     if scene.units is not None:
         out |= describe_units(scene.units)
-    loading = scene.loading
+    loading = mechanical(scene.loading)
     if isinstance(loading, ConstantPressure):
         out["pressure"] = float(loading.pressure)
     elif isinstance(loading, ConstantVoltage):
         out["voltage"] = float(loading.voltage)
+    elif isinstance(loading, PrescribedVolume):
+        out["volume"] = float(loading.volume)
     elif isinstance(loading, Chamber):
         out["chamber_volume"] = float(loading.volume)
         for name in ("initial_volume", "initial_pressure"):
@@ -259,4 +276,6 @@ def describe(what: Scene | Membrane) -> dict:
                 out[name] = float(value)
         out["atmospheric_pressure"] = float(loading.atmospheric_pressure)
         out["polytropic_exponent"] = float(loading.polytropic_exponent)
+    if control_of(scene.loading) == "charge":
+        out["control"] = "charge"
     return out

@@ -166,7 +166,7 @@ class Shot(typing.NamedTuple):
     """What a shot returns; every entry has the shape of a lane, columns a leading axis of the asked directions.
 
     `lag` is λ2(1) − λa without cancellation, `height` z(1), `charge` C = Q/Φ. `columns` maps a direction to
-    (∂lag, ∂volume). `trail` holds what was recorded after every step: times τ (inf once done) and ∂λ2/∂λa; or times,
+    (∂lag, ∂volume), with `outputs` (∂lag, ∂volume, ∂C). `trail` holds what was recorded after every step: times τ (inf once done) and ∂λ2/∂λa; or times,
     raw values, and the `Along` that reads them.
     """
 
@@ -202,7 +202,7 @@ def integrate_membrane(
     """One integration from apex to rim at R = 1.
 
     `columns` lists the wanted derivatives: names of `COLUMNS`, or the index of a leaf of `material`. `outputs` adds
-    height and charge to the state, `trail` the values after every step: "sensitivity", "profile" (with z as its last entry where `heights` is asked for), or the whole "states". `start` is where the apex series hands over, as a share of A.
+    height and charge to the state and to the derivatives, `trail` the values after every step: "sensitivity", "profile" (with z as its last entry where `heights` is asked for), the whole "states", or "all" with the columns. `start` is where the apex series hands over, as a share of A.
     """
     inputs = jnp.broadcast_arrays(*(jnp.asarray(v, float) for v in (apex_stretch, pressure, q)))
     kappa = jax.lax.stop_gradient(apex_series(material, *inputs)[2])
@@ -262,41 +262,43 @@ def integrate_membrane(
     begin = [jnp.broadcast_to(v, shape) for v in series(theta)]
     for column in integrated:
         tangent = along(lambda y, theta: series(theta), zero, zero, column)[1]
-        begin += [jnp.broadcast_to(v, shape) for v in tangent[:4]]
+        begin += [jnp.broadcast_to(v, shape) for v in tangent]
 
     def field(tau, y):
         radius, stretching = position(tau)
         state = [y[i] for i in range(states)]
         out = []
         for i, column in enumerate(integrated):
-            at = states + 4 * i
-            tangent = [y[at + j] for j in range(4)] + [jnp.zeros(shape)] * (states - 4)
+            tangent = [y[states * (i + 1) + j] for j in range(states)]
             value, moved = along(lambda y, theta: rates(radius, y, theta), state, tangent, column)
             if i == 0:
                 out += value
-            out += moved[:4]
+            out += moved
         if not integrated:
             out = rates(radius, state, theta)
         return stretching * jnp.stack([jnp.broadcast_to(v, shape) for v in out])
 
-    apex_at = states + 4 * integrated.index("apex_stretch") if "apex_stretch" in integrated else None
+    apex_at = states * (1 + integrated.index("apex_stretch")) if "apex_stretch" in integrated else None
 
     record = {
         None: None,
         "sensitivity": lambda y: 1.0 + y[(apex_at or 0) + 1],
         "profile": lambda y: jnp.concatenate([y[:3], y[4:5]]) if heights else y[:3],
         "states": lambda y: y[:states],
+        "all": lambda y: y,
     }[trail]
     end, marks = integrate(field, jnp.stack(begin), steps, trail=record, adaptive=adaptive)
     found = {}
+    wanted = (1, 3, 5) if outputs else (1, 3)
     for i, column in enumerate(integrated):
-        at = states + 4 * i
-        found[column] = (end[at + 1], end[at + 3])
+        at = states * (i + 1)
+        found[column] = tuple(end[at + j] for j in wanted)
     if "pressure" in columns:
         rate = rates(jnp.ones(shape), [end[i] for i in range(states)], theta)
-        # scaling: λ2 depends on pR alone, V p³ likewise; at p = 0 the limits are 0 and V/p, which no lane asks for
-        found["pressure"] = (rate[1] / inputs[1], (rate[3] - 3 * end[3]) / inputs[1])
-    if trail in ("profile", "states"):
+        # scaling: λ2 depends on pR alone, V p³ and C p² likewise; at p = 0 the limits are 0 and V/p, which no lane asks for
+        powers = {1: 0, 3: 3, 5: 2}
+        found["pressure"] = tuple((rate[j] - powers[j] * end[j]) / inputs[1] for j in wanted)
+    if trail in ("profile", "states", "all"):
         assert marks is not None
         times, values = marks
 

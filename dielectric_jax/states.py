@@ -11,7 +11,7 @@ from scipy.optimize import root_scalar
 from .branches import cached_scan
 from .chart import map_nodes, stretch_shares
 from .equilibria import Points, polish
-from .loading import Chamber, ConstantPressure, ConstantVoltage
+from .loading import Chamber, ConstantPressure, ConstantVoltage, PrescribedVolume, mechanical
 from .materials import is_concrete, largest_load
 from .membrane import Membrane, require_float64
 from .records import State, voltage_of
@@ -64,9 +64,10 @@ def states_of(points: Points, tolerance: float) -> list[State]:
             height=float(points.height[i]),
             charge=float(charge[i]),
             breakdown_ratio=float(ratio[i]),
-            index=int(points.index[i]),
+            index=int(points.index[i]) if points.index[i] >= 0 else None,
             error_estimate=float(points.error[i]),
-            flags=("error_above_tolerance",) if not points.error[i] <= tolerance else (),
+            flags=("error_above_tolerance",) * (not points.error[i] <= tolerance)
+            + ("index_not_valid",) * bool(points.index[i] < 0),
         )
         for i in range(len(points))
     ]
@@ -82,12 +83,14 @@ def flat_state(membrane: Membrane, q: float) -> State:
 
 def filling(scene: Scene, tolerance: float) -> tuple[float | None, float | None]:
     """(p_0, V_0) of a chamber at zero voltage, (0, 0) for a flat film, (None, None) without a chamber."""
-    loading, membrane = scene.loading, scene.membrane
+    loading, membrane = mechanical(scene.loading), scene.membrane
     flat = (0.0, 0.0)
     if isinstance(loading, ConstantPressure):
         filled = float(loading.pressure) > 0
+    elif isinstance(loading, PrescribedVolume):
+        filled = float(loading.volume) > 0
     elif not isinstance(loading, Chamber):
-        raise ValueError(f"`loading` must be a Chamber or a ConstantPressure, but is {loading!r}.")
+        raise ValueError(f"`loading` must be a Chamber, ConstantPressure or PrescribedVolume, but is {loading!r}.")
     elif loading.initial_volume is not None:
         filled = float(loading.initial_volume) > 0
     else:
@@ -231,14 +234,23 @@ def equilibrium(
             elif not any(_same(state, other) for other in states):
                 states.append(state)
     if not states:
-        if name == "volume" and wanted > (most := _reach(membrane, "volume")):
-            raise ValueError(
-                f"`volume` must lie between 0 and {most:.6g}, what the membrane reaches up to its lock-up, but is {wanted!r}."
-            )
+        if name == "volume":
+            check_reachable(membrane, wanted)
         flat = too_flat(membrane, name, wanted, float(voltage) ** 2)
         raise SceneError(Code.near_flat if flat else Code.beyond_tolerance if vague else Code.no_equilibrium)
     states.sort(key=lambda s: s.volume)
     return states if all else states[0]
+
+
+def check_reachable(membrane: Membrane, volume: float) -> None:
+    """Refuses a volume that the membrane does not reach."""
+    most = _reach(membrane, "volume")
+    if volume > most:
+        raise ValueError(
+            f"`volume` must lie between 0 and {most:.6g}, what the membrane reaches up to its lock-up, but is {volume!r}."
+        )
+    if too_flat(membrane, "volume", volume):
+        raise SceneError(Code.near_flat)
 
 
 def _beside_extreme(membrane, contour, extreme, name: str, wanted: float, tolerance: float) -> Points:

@@ -165,7 +165,8 @@ def exact_curve(solver, line, tangents, codes, count, tolerance, chart, retrace:
         points = _insert(solver, points, wide, tolerance)
         if len(points) == before:
             break
-    if points.volume[0] > points.volume[-1]:  # a branch begins at its smaller volume
+    place = points.place(solver.contour)
+    if place[0] > place[-1]:  # a branch begins at its smaller volume
         points = _reversed(points)
         codes.reverse()
     gap = np.linalg.norm(np.diff(scaled(points.u.T), axis=0), axis=1)
