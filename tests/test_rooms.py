@@ -23,6 +23,7 @@ ROOMS = [
     "sheet",
     "archive",
     "surface",
+    "points",
     "trajectories",
     "family",
     "contours",
@@ -45,6 +46,8 @@ ROOMS = [
     "drawing",
     "plotting",
     "diagram",
+    "searches",
+    "critical_points",
     "arguments",
     "cli",
 ]
