@@ -27,9 +27,9 @@ from .points import (
     ByShooting,
     Conditions,
     OnSheet,
-    State4,
+    Solution,
     attach,
-    attach_load,
+    attach_free,
 )
 from .results import Code, SceneError
 from .scene import Scene
@@ -142,7 +142,7 @@ def _set_steps(out, good, scenes) -> None:
 class _Found(typing.NamedTuple):
     """What a search gave for one event: its state, the error and code, the steps that resolve it."""
 
-    state: State4
+    state: Solution
     error: typing.Any
     code: typing.Any
     steps: typing.Any
@@ -176,7 +176,7 @@ def _find(names: tuple, scene: Scene, surface: Surface | None) -> dict[str, _Fou
     found = {}
     for k, name in enumerate(names):
         apex, p, q, volume, error, code, steps = (jnp.asarray(table[k, i]) for i in range(7))
-        found[name] = _Found(State4(apex, p, q, volume), error, code.astype(int), steps)
+        found[name] = _Found(Solution(apex, p, q, volume), error, code.astype(int), steps)
     return found
 
 
@@ -184,7 +184,7 @@ def _engine(surface: Surface | None, steps) -> AbstractEngine:
     return ByShooting(steps) if surface is None else OnSheet(surface, steps)
 
 
-def _start(scene: Scene, found: _Found, surface) -> tuple[State4, Conditions]:
+def _start(scene: Scene, found: _Found, surface) -> tuple[Solution, Conditions]:
     """The state at zero voltage, and the loading's conditions with the filling of a chamber."""
     loading = scene.loading
     if isinstance(loading, ConstantPressure):
@@ -212,10 +212,10 @@ def _raise_if_none(scene: Scene, found: _Found, throw: bool) -> None:
         raise SceneError(code)
 
 
-def _point(scene: Scene, found: _Found, state: State4, throw: bool) -> CriticalPoint:
+def _point(scene: Scene, found: _Found, state: Solution, throw: bool) -> CriticalPoint:
     _raise_if_none(scene, found, throw)
     ok = found.code == int(Code.ok)
-    apex, p, q, volume = (jnp.where(ok, v, jnp.nan) for v in state)
+    apex, p, q, volume = (jnp.where(ok, v, jnp.nan) for v in state[:4])
     ratio = _root(q * field_ratio_squared(scene.membrane.breakdown, apex, apex))
     return CriticalPoint(apex, p, q, volume, ratio, jnp.where(ok, found.error, jnp.nan), found.code)
 
@@ -227,7 +227,7 @@ def _fold(scene: Scene, name: str, surface, throw: bool) -> CriticalPoint:
     engine = _engine(surface, of.steps)
     state = attach(of.state, theta, FOLD, engine)
     # the load by first derivatives alone
-    state = state._replace(voltage_squared=attach_load(of.state.voltage_squared, of.state, theta, engine))
+    state = state._replace(voltage_squared=attach_free(of.state.voltage_squared, of.state, theta, engine))
     return _point(scene, of, state, throw)
 
 
@@ -236,7 +236,7 @@ def _fold_voltage(scene: Scene, name: str, surface):
     of = found[name]
     _raise_if_none(scene, of, True)
     _, theta = _start(scene, found["start"], surface)
-    load = attach_load(of.state.voltage_squared, of.state, theta, _engine(surface, of.steps))
+    load = attach_free(of.state.voltage_squared, of.state, theta, _engine(surface, of.steps))
     return _root(jnp.where(of.code == int(Code.ok), load, jnp.nan))
 
 
@@ -285,18 +285,18 @@ def landing_point(scene: Scene, *, surface: Surface | None = None, throw: bool =
     return _point(scene, found["landing"], state, throw)
 
 
-def _landing(theta: Conditions, found, surface) -> State4:
+def _landing(theta: Conditions, found, surface) -> Solution:
     snap, landing = found["snap"], found["landing"]
-    load = attach_load(snap.state.voltage_squared, snap.state, theta, _engine(surface, snap.steps))
+    load = attach_free(snap.state.voltage_squared, snap.state, theta, _engine(surface, snap.steps))
     at = eqx.tree_at(lambda c: c.target, theta, load)
     return attach(landing.state, at, LEVEL, _engine(surface, landing.steps))
 
 
-def _select(choice, one: State4, other: State4) -> State4:
-    return State4(*(jnp.where(choice, a, b) for a, b in zip(one, other, strict=True)))
+def _select(choice, one: Solution, other: Solution) -> Solution:
+    return Solution(*(jnp.where(choice, a, b) for a, b in zip(one, other, strict=True)))
 
 
-def _breakdown(theta: Conditions, found, surface) -> State4:
+def _breakdown(theta: Conditions, found, surface) -> Solution:
     """The state at breakdown, on the branch or in the snap.
 
     What is not selected holds the other's state: so its matrices are finite, and the reverse pass multiplies no NaN by 0.
