@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from .batch import ByLeaves
 from .equilibria import difficulty, largest_on, locking_stretch
 from .loading import Chamber, ConstantPressure, ConstantVoltage
 from .materials import is_concrete
@@ -33,7 +34,7 @@ from .points import (
 )
 from .results import Code, SceneError
 from .scene import Scene
-from .searches import first_folds, ramp_events
+from .searches import Scenes, first_folds, first_folds_on_surface, ramp_events
 from .states import filling
 from .surface import Surface
 
@@ -92,51 +93,37 @@ def _host(names: tuple, tree, surface: Surface | None):
         shape = columns[0].shape
         rows = np.stack([c.ravel() for c in columns], axis=1)
         out = np.full((len(rows), len(names), 7), np.nan)
-        out[..., 5], out[..., 6] = int(Code.not_converged), _STEPS[0]
-        scenes: list = []
-        good = []
-        for i, row in enumerate(rows):
-            try:
-                if not np.isfinite(row).all():
-                    raise ValueError
-                scene = _checked(jax.tree.unflatten(tree, list(row)))
-                if surface is not None and not surface.belongs_to(scene.membrane):
-                    out[i, :, 5] = int(Code.other_membrane)
-                    continue
-            except ValueError:
-                out[i, :, 5] = int(Code.no_equilibrium)
-                continue
-            scenes.append(scene)
-            good.append(i)
-        if scenes:
-            quick = surface is None and set(names) <= {"start", "snap"}
-            table = first_folds(scenes) if quick else ramp_events(scenes, surface)
+        out[..., 6] = _STEPS[0]
+        scenes = Scenes(tree, rows)
+        out[..., 5] = scenes.admissible(surface)[:, None]
+        good = np.flatnonzero(out[:, 0, 5] == int(Code.ok))
+        if len(good):
+            scenes = scenes[good]
+            if not set(names) <= {"start", "snap"}:
+                table = ramp_events(scenes, surface)
+            else:
+                table = first_folds(scenes) if surface is None else first_folds_on_surface(scenes, surface)
             for k, name in enumerate(names):
                 out[good, k, :6] = table[name]
-            _set_steps(out, good, scenes)
+            out[good, :, 6] = _steps(scenes, out[good], surface)
         return out.reshape((*shape, len(names), 7))
 
     return search
 
 
-def _checked(scene: Scene) -> Scene:
-    """The scene through its constructors, so that numbers that only appear at run time are checked too."""
-
-    def again(module):
-        if not isinstance(module, eqx.Module):
-            return module
-        return type(module)(**{n: again(getattr(module, n)) for n in module.__dataclass_fields__})
-
-    return again(scene)
-
-
-def _set_steps(out, good, scenes) -> None:
-    """The number of steps that resolves each state."""
-    for i, scene in zip(good, scenes, strict=True):
-        apex, q = out[i, :, 0], out[i, :, 2]
-        fraction = q / largest_on(scene.membrane.material, np.nan_to_num(apex, nan=2.0))
-        level = difficulty(locking_stretch(scene.membrane), np.nan_to_num(apex), np.nan_to_num(fraction))
-        out[i, :, 6] = _STEPS[level]
+def _steps(scenes: Scenes, found, surface: Surface | None) -> np.ndarray:
+    """The number of steps that resolves each state (scenes, names)."""
+    groups: dict = {}
+    membranes = [surface.membrane] if surface is not None else [scene.membrane for scene in scenes]
+    for i, membrane in enumerate(membranes):
+        groups.setdefault(ByLeaves.of(membrane), []).append(i)
+    steps = np.empty(found.shape[:2])
+    for key, own in groups.items():
+        own = slice(None) if surface is not None else own
+        apex, q = np.nan_to_num(found[own, :, 0], nan=2.0), np.nan_to_num(found[own, :, 2])
+        fraction = q / largest_on(key.membrane.material, apex.ravel()).reshape(apex.shape)
+        steps[own] = _STEPS[difficulty(locking_stretch(key.membrane), apex, fraction)]
+    return steps
 
 
 class _Found(typing.NamedTuple):

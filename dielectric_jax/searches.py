@@ -4,7 +4,9 @@ Nothing here is differentiated: the points are exact already, `points` adds thei
 of its pytree, so that a transformed function asks for a batch of them by one call to the host.
 """
 
+import dataclasses
 import typing
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +16,7 @@ from .batch import columns_of, continue_scenes, contour_of, starts
 from .continuation import Steps, advance, begin
 from .crowd import Crowd
 from .diagram import voltage_volume
-from .ensemble import Outcome, Ramps, chamber_ramps, pressure_ramps
+from .ensemble import Outcome, Ramps, chamber_ramps, first_folds_on, pressure_ramps
 from .equilibria import SCALE, locking_stretch
 from .kept import kept_jit
 from .loading import Chamber, ConstantPressure, ConstantVoltage
@@ -24,7 +26,7 @@ from .scene import Scene
 from .surface import Surface
 from .tracing import branch_problem
 
-__all__ = ["EVENTS", "first_folds", "ramp_events"]
+__all__ = ["EVENTS", "first_folds", "first_folds_on_surface", "ramp_events", "Scenes"]
 
 #: the events that a search tells, each as λa, p, q, V, error, code
 EVENTS = ("start", "snap", "landing", "breakdown", "snap_back", "landing_back", "rest")
@@ -95,6 +97,59 @@ def _turn(before, after):
     return x0 + a * s + b * s**2 / 2 + c * s**3 / 3, rate / size, (b + 2 * c * s)[2] / size**2
 
 
+@dataclasses.dataclass(frozen=True)
+class Scenes(Sequence):
+    """Scenes of one kind as rows of the numbers in their leaves (scenes, leaves); built one by one when asked for."""
+
+    tree: typing.Any
+    rows: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __getitem__(self, which):
+        if isinstance(which, (int, np.integer)):
+            return jax.tree.unflatten(self.tree, [np.float64(v) for v in self.rows[which]])
+        return Scenes(self.tree, self.rows[which])
+
+    def columns(self) -> Scene:
+        """One scene whose leaves are columns."""
+        return jax.tree.unflatten(self.tree, list(self.rows.T))
+
+    def admissible(self, surface: Surface | None) -> np.ndarray:
+        """For each the code of what is wrong with its numbers, which were unknown when it was written down."""
+        code = np.full(len(self), int(Code.ok))
+        if surface is not None:
+            own = np.array([np.asarray(v).item() for v in jax.tree.leaves(surface.membrane)])
+            same = jax.tree.structure(surface.membrane) == jax.tree.structure(self[0].membrane)
+            code[~(same & (self.rows[:, : len(own)] == own).all(axis=1))] = int(Code.other_membrane)
+        return np.where(self._valid(surface), code, int(Code.no_equilibrium))
+
+    def _valid(self, surface: Surface | None) -> np.ndarray:
+        good = np.isfinite(self.rows).all(axis=1)
+        loading = self.columns().loading
+        for name in loading.__dataclass_fields__:
+            value = getattr(loading, name)
+            if value is not None:
+                good &= (value >= 0) if name == "atmospheric_pressure" else (value > 0)
+        if surface is None:  # else the membrane is the surface's
+            for i in np.flatnonzero(good):
+                good[i] = _constructed(self[i])
+        return good
+
+
+def _constructed(scene: Scene) -> bool:
+    """Whether the constructors take the scene's membrane."""
+    try:
+        for module in (scene.membrane.material, scene.membrane.breakdown, scene.membrane):
+            check = getattr(module, "__check_init__", None)
+            if check is not None:
+                check()
+    except ValueError:
+        return False
+    return True
+
+
 def _box(scene: Scene) -> np.ndarray:
     (low, high), _, load = scene.limits()
     return np.array([low + 1e-8 * (high - low), high, *load, locking_stretch(scene.membrane)])
@@ -141,7 +196,7 @@ def _first_fold(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     return _by_diagram(scene, "snap")
 
 
-def first_folds(scenes: list[Scene]) -> dict[str, np.ndarray]:
+def first_folds(scenes: Scenes) -> dict[str, np.ndarray]:
     """Starts and first folds of the ramp up, also past breakdown, of many scenes: arrays (scenes, 6)."""
     table = {name: np.tile(_no(Code.not_converged), (len(scenes), 1)) for name in ("start", "snap")}
     todo = range(len(scenes))
@@ -258,34 +313,43 @@ def _table_of(ramps: Ramps) -> dict[str, np.ndarray]:
     return table
 
 
-def surface_ramps(scene: Scene, surface: Surface) -> Ramps:
-    """Ramps on a surface of a scene whose leaves are columns."""
-    loading = scene.loading
+def _given(loading, surface: Surface) -> dict:
+    """The columns of a loading under the names of `chamber_ramps`, or the pressure."""
     if isinstance(loading, ConstantPressure):
-        return pressure_ramps(surface, loading.pressure)
+        return {"pressure": loading.pressure}
     assert isinstance(loading, Chamber)
     filling = loading.initial_volume
     if filling is None:
-        filling = _volumes_at(surface, np.asarray(loading.initial_pressure))
+        start = pressure_ramps(surface, loading.initial_pressure).start.volume
+        filling = np.where(np.isfinite(start), start, 1e-300)  # too little for any state: not decided
     gas = {n: getattr(loading, n) for n in ("atmospheric_pressure", "polytropic_exponent")}
-    return chamber_ramps(surface, loading.volume, filling, **gas)
+    return {"chamber_volume": loading.volume, "initial_volume": filling} | gas
 
 
-def _volumes_at(surface: Surface, pressure: np.ndarray) -> np.ndarray:
-    """The smallest volumes at zero voltage of pressures."""
-    start = pressure_ramps(surface, pressure).start.volume
-    return np.where(np.isfinite(start), start, 1e-300)
+def first_folds_on_surface(scenes: Scenes, surface: Surface) -> dict[str, np.ndarray]:
+    """`first_folds` of scenes of one membrane on its surface; shooting decides what the surface does not."""
+    found = first_folds_on(surface, _given(scenes.columns().loading, surface))
+    code = np.full((*found.shape[:-1], 1), float(Code.ok))
+    found = np.concatenate([found[..., [0, 1, 3, 2, 4]], code], axis=-1)
+    unknown = np.flatnonzero(~np.isfinite(found[:, 1, 0]))
+    table = {"start": found[:, 0], "snap": found[:, 1]}
+    if len(unknown):
+        rest = first_folds(scenes[unknown])
+        for name in table:
+            table[name][unknown] = rest[name]
+    return table
 
 
-def ramp_events(scenes: list[Scene], surface: Surface | None = None, *, alone: bool = True) -> dict[str, np.ndarray]:
+def ramp_events(scenes: Scenes, surface: Surface | None = None, *, alone: bool = True) -> dict[str, np.ndarray]:
     """All events of many scenes' ramps, a dictionary of arrays (scenes, 6).
 
     What neither batch nor surface decides is decided by the scene's own diagram, with `alone`.
     """
     if surface is None:
-        ramps = continue_scenes(scenes).ramps
+        ramps = continue_scenes(list(scenes)).ramps
     else:
-        ramps = surface_ramps(columns_of(scenes), surface)
+        given = _given(scenes.columns().loading, surface)
+        ramps = pressure_ramps(surface, **given) if "pressure" in given else chamber_ramps(surface, **given)
     table = _table_of(ramps)
     unknown = ramps.outcome == Outcome.unresolved
     unknown |= (ramps.outcome == Outcome.no_unbroken_landing) & ~np.isfinite(table["landing"][:, 0])
