@@ -33,6 +33,17 @@ _ROOMS = {
     "states": ("equilibrium",),
     "diagram": ("Diagram", "pressure_volume", "voltage_volume"),
     "batch": ("Batch", "continue_scenes"),
+    "critical_points": (
+        "CriticalPoint",
+        "area_strain",
+        "breakdown_point",
+        "breakdown_voltage",
+        "landing_point",
+        "snap_back_point",
+        "snap_back_voltage",
+        "snap_point",
+        "snap_voltage",
+    ),
     "cache": ("enable_compilation_cache",),
 }
 _HOME = {name: room for room, names in _ROOMS.items() for name in names}
@@ -44,6 +55,17 @@ if typing.TYPE_CHECKING:
     from .cache import enable_compilation_cache
     from .chart import explicit_map
     from .continuation import Problem, Steps, Trace, trace
+    from .critical_points import (
+        CriticalPoint,
+        area_strain,
+        breakdown_point,
+        breakdown_voltage,
+        landing_point,
+        snap_back_point,
+        snap_back_voltage,
+        snap_point,
+        snap_voltage,
+    )
     from .diagram import Diagram, pressure_volume, voltage_volume
     from .ensemble import Curves, Outcome, Point, Ramps, chamber_curves, chamber_ramps, pressure_ramps
     from .family import SurfaceFamily

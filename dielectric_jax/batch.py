@@ -31,7 +31,7 @@ from .results import Code
 from .scene import Scene
 from .states import check_request
 
-__all__ = ["Batch", "continue_scenes"]
+__all__ = ["Batch", "columns_of", "continue_scenes", "contour_of", "starts"]
 
 _BLOCK = 512  # scenes that are held together
 _LINE = 40  # stretches of the line of states at zero voltage
@@ -108,7 +108,7 @@ class ByLeaves:
         return ByLeaves(membrane, (tree, *(np.asarray(v).item() for v in leaves)))
 
 
-def _columns(modules) -> typing.Any:
+def columns_of(modules) -> typing.Any:
     """One module whose leaves are columns of those of many alike."""
     leaves, tree = zip(*map(jax.tree.flatten, modules), strict=True)
     return jax.tree.unflatten(tree[0], [np.array(column, float) for column in zip(*leaves, strict=True)])
@@ -139,7 +139,7 @@ def _first_place(line, row: int, wanted: np.ndarray) -> np.ndarray:
     return np.where(inside, fine[i - 1] + np.clip(share, 0, 1) * (fine[i] - fine[i - 1]), np.nan)
 
 
-def _starts(scenes: list[Scene], crowd: Crowd, tolerance: float) -> Met:
+def starts(scenes: list[Scene], crowd: Crowd, tolerance: float) -> Met:
     """The states of smallest volume at zero voltage."""
     lanes = len(scenes)
     u, rows = np.full((lanes, 3), np.nan), np.zeros((lanes, 3))
@@ -187,7 +187,8 @@ def _starts(scenes: list[Scene], crowd: Crowd, tolerance: float) -> Met:
     return met
 
 
-def _contour_of(scene: Scene, pressure: float, volume: float) -> Contour:
+def contour_of(scene: Scene, pressure: float, volume: float) -> Contour:
+    """The condition of a scene's loading, with the filling of a chamber."""
     if isinstance(scene.loading, Chamber):
         return scene.loading.contour(pressure, volume)
     return scene.loading.contour()
@@ -299,7 +300,7 @@ def _elsewhere(scenes: list[Scene], crowd: Crowd, lines: Polylines) -> np.ndarra
 
 def _block(scenes: list[Scene], tolerance: float) -> Batch:
     """`continue_scenes` of scenes with membranes of one kind."""
-    membrane = _columns([s.membrane for s in scenes])
+    membrane = columns_of([s.membrane for s in scenes])
     windows = {}
     for scene in scenes:
         key = id(scene.membrane), scene.window
@@ -307,13 +308,13 @@ def _block(scenes: list[Scene], tolerance: float) -> Batch:
             windows[key] = scene.limits(), locking_stretch(scene.membrane)
     limits = [windows[id(s.membrane), s.window] for s in scenes]
     locks = np.array([lock for _, lock in limits])
-    nothing = _columns([ConstantVoltage(0.0).contour()] * len(scenes))
-    start = _starts(scenes, Crowd(membrane, nothing, locks), tolerance)
+    nothing = columns_of([ConstantVoltage(0.0).contour()] * len(scenes))
+    start = starts(scenes, Crowd(membrane, nothing, locks), tolerance)
     filled = (
         [start.u[i, 1] if start.ok[i] else 1.0 for i in range(len(scenes))],
         [start.volume[i] if start.ok[i] else 1.0 for i in range(len(scenes))],
     )
-    contour = _columns([_contour_of(s, p, v) for s, p, v in zip(scenes, *filled, strict=True)])
+    contour = columns_of([contour_of(s, p, v) for s, p, v in zip(scenes, *filled, strict=True)])
     crowd = Crowd(membrane, contour, locks)
     box = np.array([[*stretch, *load, lock] for (stretch, _, load), lock in limits])
     box[:, 0] += 1e-8 * (box[:, 1] - box[:, 0])

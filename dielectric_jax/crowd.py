@@ -86,15 +86,21 @@ _FIRST = [next((i for i, g in enumerate(_GRIDS) if g[0] == k), len(_GRIDS)) for 
 
 @dataclasses.dataclass
 class Crowd:
-    """Scenes as columns: leaves of shape (scenes,); `locks_from` is where an inner layer may form, see `locking_stretch`."""
+    """Scenes as columns: leaves of shape (scenes,); `locks_from` is where an inner layer may form, see `locking_stretch`.
+
+    With `alone` there is one scene, and calls have one lane.
+    """
 
     membrane: Membrane
     contour: Contour
     locks_from: np.ndarray
+    alone: bool = False
 
     def limits(self, apex: np.ndarray, which: np.ndarray) -> np.ndarray:
         """Breakdown load at the apex, its slope, and the largest load (3, points) at stretches of scenes `which`."""
         count = len(apex)
+        if self.alone and count == 1:
+            return np.stack(limits_program(pick(self.membrane, which), apex))
         out = np.empty((3, count))
         for i in range(0, count, 8 * LANES):
             part = slice(i, i + 8 * LANES)
@@ -144,7 +150,7 @@ class Crowd:
             s = int(stage.min())
             todo = np.flatnonzero(stage == s)
             for now in calls(todo):
-                found = run(padded(now), u, _GRIDS[s])
+                found = run(now if self.alone else padded(now), u, _GRIDS[s])
                 self._take_in(found, now, which[now], u, met, _GRIDS[s], folds)
                 with np.errstate(invalid="ignore"):
                     lost = ~np.isfinite(u[now]).all(axis=1)

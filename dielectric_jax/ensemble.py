@@ -17,7 +17,7 @@ import numpy as np
 from .kept import kept_jit
 from .marks import LEVEL, ContourOnRows, Events, first_place
 from .programs import threads
-from .ramp_on_rows import Outcome, polish_program, ramp_program
+from .ramp_on_rows import Outcome, polish_program, ramp_program, snap_program
 from .results import check_positive
 from .rows import ROWS, Conditions, Rows, crossings, rows_of
 from .surface import ById, Surface
@@ -160,6 +160,23 @@ def _ramps_chunk(rows: Rows, lanes, kind: str):
     vague = worst() > _LARGEST_ERROR
     told[vague], snaps[vague], outcome[vague] = np.nan, 0, int(Outcome.unresolved)
     return told, *marks, snaps, outcome, reach
+
+
+def _snaps_chunk(rows: Rows, lanes, kind: str):
+    start, conditions, (q, _, *crossed) = _CROSSINGS[kind](rows, lanes)
+    return (snap_program(rows, Events(*start), Conditions(*conditions, polytropic=kind == "polytropic"), q, *crossed),)
+
+
+def first_folds_on(surface: Surface, given: dict) -> np.ndarray:
+    """Start and first fold, (λa, p, V, q, error) each, of many chambers or pressures: (…, 2, 5); NaN where not decided.
+
+    `given` names the columns as the arguments of `chamber_ramps`, or the pressure.
+    """
+    if "pressure" in given:
+        columns, kind = _columns(surface, given), "pressure"
+    else:
+        columns, kind = _chambers(surface, **given)
+    return _run(_snaps_chunk, surface, columns, kind, 0)[0]
 
 
 def _curves_chunk(rows: Rows, lanes, kind: str):

@@ -14,7 +14,7 @@ from .marks import BREAKDOWN, FOLD, LEVEL, ContourOnRows, Events, Marks, first_p
 from .rows import ROWS, Conditions, Rows
 from .surface import Surface
 
-__all__ = ["Outcome", "polish_program", "ramp_program"]
+__all__ = ["Outcome", "polish_program", "ramp_program", "snap_program"]
 
 _SNAPS = 2
 _MOST_ERROR = 1e-4  # between rows, of a ramp that is told
@@ -147,6 +147,43 @@ def _ramp(rows: Rows, condition: Conditions, start: Events, q, v, found, again):
 def ramp_program(rows: Rows, start: Events, conditions: Conditions, q, v, found, again):
     """Many loadings: their events (loadings, 5, 11), special points (loadings, 5, count), snaps, outcomes, reach."""
     return jax.vmap(_ramp, in_axes=(None, 0, 0, 1, 1, 1, 1))(rows, conditions, start, q, v, found, again)
+
+
+def _snap(rows: Rows, condition: Conditions, start: Events, q, v, found, again):
+    """The start and the first fold of one loading, (λa, p, V, q, error) each, met on the surface; NaN where not decided.
+
+    Decided is a contour that rises from its start on plain rows to a maximum, without another dip on the way.
+    """
+    at = jnp.arange(ROWS)
+    plain = found & ~again
+    begin = jnp.where(start.seen(), start.place, 0.0).astype(int)
+    hole, ends = first_place(~plain & (at > begin))
+    last = jnp.where(ends, hole - 1, ROWS - 1)
+    hole, begins = last_place(~plain & (at <= begin))
+    contour = ContourOnRows(rows, q, v, jnp.where(begins, hole + 1, 0), last)
+    rise = q[1:] - q[:-1]
+    row, turns = first_place((at[1:-1] > begin) & (at[1:-1] < last) & (rise[:-1] > 0) & (rise[1:] <= 0))
+    row = row + 1
+    place, load, _, error = contour.meet(row, FOLD, 0.0)
+    way = (at[:-1] > begin) & (at[:-1] < row)
+    # a slow rise amid faster ones may hide two folds
+    slow = way[1:-1] & (rise[1:-1] < rise[:-2]) & (rise[1:-1] < rise[2:]) & (at[1:-2] < row - 1)
+    fair = start.seen() & turns & (q[begin + 1] > 0) & ~jnp.any(slow) & (error < _MOST_ERROR)
+    met, size = meet_on_surface(rows.surface, condition, FOLD, 0.0, rows.apex_at(place), load)
+    bound = rows.surface.error_bound(met[0], met[3]) + jnp.where(size < 1e-6, size**2, jnp.inf)
+    fair &= bound < _MOST_ERROR
+    apex = rows.apex_at(start.place)
+    zero = rows.surface.error_bound(apex, 0.0) + start.error
+    pressure = condition.pressure(start.volume)
+    return jnp.where(
+        fair, jnp.stack([jnp.stack([apex, pressure, start.volume, 0.0 * apex, zero]), jnp.append(met, bound)]), jnp.nan
+    )
+
+
+@kept_jit
+def snap_program(rows: Rows, start: Events, conditions: Conditions, q, v, found, again):
+    """`_snap` of many loadings: (loadings, 2, 5)."""
+    return jax.vmap(_snap, in_axes=(None, 0, 0, 1, 1, 1, 1))(rows, conditions, start, q, v, found, again)
 
 
 # the events of a ramp: start, two snaps, two landings, breakdown, two snap-backs and their two landings, rest

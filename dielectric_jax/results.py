@@ -29,6 +29,16 @@ class Code(enum.IntEnum):
     near_flat = 13
     surface_edge = 14
     breakdown = 15
+    no_landing = 20
+    start_unstable = 21
+    no_breakdown = 22
+    no_snap_back = 23
+    no_pressure_fold = 24
+    no_zero_voltage_state = 25
+    no_bistability = 26
+    no_cusp = 27
+    flat_film = 28
+    other_membrane = 29
 
     @property
     def sentence(self) -> str:
@@ -61,6 +71,16 @@ _SENTENCES = {
         "ask for a larger one, or for 0, the flat membrane."
     ),
     Code.surface_edge: "The branch leaves the domain of the surface; extend it by shooting to follow it further.",
+    Code.no_landing: "The ramp up ends in a snap: the window holds no stable state at that voltage to land on.",
+    Code.start_unstable: "The state at zero voltage is not stable, so no ramp starts from it.",
+    Code.no_breakdown: "The ramp up ends at the window's edge without electric breakdown; widen the window.",
+    Code.no_snap_back: "The ramp down meets no fold above zero voltage, so there is no snap-back.",
+    Code.no_pressure_fold: "The pressure-volume curve at this voltage has no such fold in the window.",
+    Code.no_zero_voltage_state: "The window holds no such state at zero voltage.",
+    Code.no_bistability: "No chamber, however large, has a second stable state at zero voltage with this filling.",
+    Code.no_cusp: "No two folds merge within the range that was searched; try another one.",
+    Code.flat_film: "The film is flat at zero voltage and stays so; ask for a positive pressure or volume.",
+    Code.other_membrane: "The surface was built for another membrane than that of the scene; build one for it.",
     Code.beyond_tolerance: "The error estimate exceeds the tolerance; ask for a looser tolerance.",
 }
 

@@ -25,6 +25,7 @@ ROOMS = [
     "sheet",
     "archive",
     "surface",
+    "points",
     "trajectories",
     "family",
     "contours",
@@ -49,6 +50,8 @@ ROOMS = [
     "drawing",
     "plotting",
     "diagram",
+    "searches",
+    "critical_points",
     "arguments",
     "cli",
 ]
