@@ -44,6 +44,7 @@ _ROOMS = {
         "snap_point",
         "snap_voltage",
     ),
+    "calibration": ("Calibration", "calibrate", "read_measurement"),
     "cache": ("enable_compilation_cache",),
 }
 _HOME = {name: room for room, names in _ROOMS.items() for name in names}
@@ -53,6 +54,7 @@ __all__ = [*_HOME]
 if typing.TYPE_CHECKING:
     from .batch import Batch, continue_scenes
     from .cache import enable_compilation_cache
+    from .calibration import Calibration, calibrate, read_measurement
     from .chart import explicit_map
     from .continuation import Problem, Steps, Trace, trace
     from .critical_points import (

@@ -50,6 +50,7 @@ ROOMS = [
     "drawing",
     "plotting",
     "diagram",
+    "calibration",
     "searches",
     "critical_points",
     "arguments",
