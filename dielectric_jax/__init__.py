@@ -30,8 +30,11 @@ _ROOMS = {
     "surface": ("SheetState", "Surface"),
     "ensemble": ("Curves", "Outcome", "Point", "Ramps", "chamber_curves", "chamber_ramps", "pressure_ramps"),
     "family": ("SurfaceFamily",),
+    "portraits": ("breakdown_latitudes", "plot_cross_section", "plot_distribution"),
     "states": ("equilibrium",),
     "diagram": ("Diagram", "pressure_volume", "voltage_volume"),
+    "paper_statements": ("Statement",),
+    "paper": ("reproduce",),
     "batch": ("Batch", "continue_scenes"),
     "critical_points": (
         "CriticalPoint",
@@ -81,6 +84,9 @@ if typing.TYPE_CHECKING:
         stresses,
     )
     from .membrane import Membrane, Profile, vhb_4910
+    from .paper import reproduce
+    from .paper_statements import Statement
+    from .portraits import breakdown_latitudes, plot_cross_section, plot_distribution
     from .profiles import energy, profile, scaling_defect
     from .records import Branch, Event, Ramp, SpecialPoint, State
     from .results import Code, SceneError

@@ -184,6 +184,15 @@ def _parser() -> _Parser:
     scene.add_argument(
         "--engine", choices=["continuation", "surface"], default="continuation", help="how it is computed"
     )
+    paper = commands.add_parser(
+        "paper",
+        help="the computed figures of Li et al. (2013), and its statements beside what the equations give",
+        description="Writes figure_3.png, figure_3.json, … and statements.md, and prints the statements.",
+    )
+    paper.add_argument(
+        "--output", required=True, metavar="DIR", help="folder to write to; made where its parent exists"
+    )
+    paper.add_argument("--only", nargs="+", action="extend", metavar="FIGURE", help="numbers of figures (all)")
     return parser
 
 
@@ -198,6 +207,9 @@ def _version() -> str:
 
 def _check(args: argparse.Namespace) -> None:
     """Refuses what each option allows alone but not with the others."""
+    if args.command == "paper":
+        _check_folder("--output", args.output)
+        return
     own = MATERIAL_CONSTANT[args.material]
     for name in ("stretch_limit", "chain_links"):
         if getattr(args, name) is not None and name != own:
@@ -238,6 +250,13 @@ def _check_file(option: str, name: str) -> None:
         raise BadInput(f"{option} must be a file in a folder that exists and can be written, but is {name!r}.")
 
 
+def _check_folder(option: str, name: str) -> None:
+    path = Path(name)
+    there = path if path.is_dir() else path.parent
+    if not name or (path.exists() and not path.is_dir()) or not there.is_dir() or not os.access(there, os.W_OK):
+        raise BadInput(f"{option} must be a folder that can be written, or made in one that exists, but is {name!r}.")
+
+
 def _option(name: str) -> str:
     return "--" + name.replace("_", "-")
 
@@ -260,7 +279,7 @@ def option_names(message: str, args: argparse.Namespace) -> str:
         return _option(name) if hasattr(args, name) else found[0]
 
     said = re.sub(r"`(\w+)`", option, " ".join(message.split()))
-    if args.si and re.search(r"\d", said):
+    if getattr(args, "si", False) and re.search(r"\d", said):
         said += (
             " (These numbers are dimensionless: lengths in A, pressures in μH/A, volumes in A³, voltages in H√(μ/ε).)"
         )

@@ -260,6 +260,20 @@ def _write(document: dict, draw: Callable[[], Any], args: argparse.Namespace) ->
         print(_summary(_in_units(document, args.units, read=True)), flush=True)
 
 
+def _run_paper(args: argparse.Namespace) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from .paper import reproduce
+    from .paper_statements import statements_table
+
+    Path(args.output).mkdir(exist_ok=True)
+    try:
+        print(statements_table(reproduce(args.output, args.only, say=_say)), flush=True)
+    except ValueError as error:
+        raise BadInput(option_names(str(error), args)) from error
+
+
 def _answer(args: argparse.Namespace) -> None:
     """Computes and writes what well-formed options ask for."""
     import jax
@@ -268,6 +282,8 @@ def _answer(args: argparse.Namespace) -> None:
     import dielectric_jax as dj
 
     dj.enable_compilation_cache()
+    if args.command == "paper":
+        return _run_paper(args)
     if args.points is None:
         args.points = 256
     try:

@@ -49,9 +49,13 @@ ROOMS = [
     "ramp",
     "drawing",
     "plotting",
+    "portraits",
     "diagram",
     "searches",
     "critical_points",
+    "paper_figures",
+    "paper_statements",
+    "paper",
     "arguments",
     "cli",
 ]
