@@ -19,6 +19,7 @@ _ROOMS = {
         "VHBBreakdown",
         "stresses",
     ),
+    "elastomers": ("CustomPermittivity", "Electrostrictive", "MooneyRivlin", "Ogden"),
     "membrane": ("Membrane", "Profile", "vhb_4910"),
     "loading": ("Chamber", "ChargeControl", "ConstantPressure", "ConstantVoltage", "PrescribedVolume"),
     "scene": ("PARAMETERS", "Scene", "Window", "describe"),
@@ -70,6 +71,7 @@ if typing.TYPE_CHECKING:
         snap_voltage,
     )
     from .diagram import Diagram, pressure_volume, voltage_volume
+    from .elastomers import CustomPermittivity, Electrostrictive, MooneyRivlin, Ogden
     from .ensemble import Curves, Outcome, Point, Ramps, chamber_curves, chamber_ramps, pressure_ramps
     from .family import SurfaceFamily
     from .loading import Chamber, ChargeControl, ConstantPressure, ConstantVoltage, PrescribedVolume

@@ -16,7 +16,7 @@ from typing import Any
 
 from .arguments import (
     CHAMBER_OPTIONS,
-    MATERIAL_CONSTANT,
+    MATERIAL_CONSTANTS,
     PROGRAM,
     UNIT_CONSTANTS,
     BadInput,
@@ -39,9 +39,9 @@ def _say(text: str) -> None:
 
 def _membrane(dj: Any, args: argparse.Namespace) -> Any:
     kinds = {"gent": dj.Gent, "neo-hookean": dj.NeoHookean, "arruda-boyce": dj.ArrudaBoyce}
-    constant = MATERIAL_CONSTANT[args.material]
-    value = getattr(args, constant) if constant else None
-    material = kinds[args.material](**({} if value is None else {constant: value}))
+    kinds |= {"mooney-rivlin": dj.MooneyRivlin, "ogden": dj.Ogden}
+    given = {name: getattr(args, name) for name in MATERIAL_CONSTANTS[args.material]}
+    material = kinds[args.material](**{name: value for name, value in given.items() if value is not None})
     own = {} if args.units is None else {n: getattr(args.units, n) for n in ("shear_modulus", "relative_permittivity")}
     breakdown = dj.VHBBreakdown(**own) if args.breakdown == "vhb" else dj.ConstantBreakdown(args.breakdown)
     return dj.Membrane(material=material, prestretch=args.prestretch, breakdown=breakdown)

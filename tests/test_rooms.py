@@ -12,6 +12,7 @@ ROOMS = [
     "units",
     "records",
     "materials",
+    "elastomers",
     "membrane",
     "loading",
     "scene",
