@@ -32,6 +32,8 @@ _ROOMS = {
     "ensemble": ("Curves", "Outcome", "Point", "Ramps", "chamber_curves", "chamber_ramps", "pressure_ramps"),
     "family": ("SurfaceFamily",),
     "portraits": ("breakdown_latitudes", "plot_cross_section", "plot_distribution"),
+    "material_page": ("balloon_pressure", "plot_material", "tension_curves"),
+    "animation": ("animate_ramp", "plot_ramp", "ramp_path"),
     "states": ("equilibrium",),
     "diagram": ("Diagram", "pressure_volume", "voltage_volume"),
     "paper_statements": ("Statement",),
@@ -55,6 +57,7 @@ _HOME = {name: room for room, names in _ROOMS.items() for name in names}
 __all__ = [*_HOME]
 
 if typing.TYPE_CHECKING:
+    from .animation import animate_ramp, plot_ramp, ramp_path
     from .batch import Batch, continue_scenes
     from .cache import enable_compilation_cache
     from .chart import explicit_map
@@ -75,6 +78,7 @@ if typing.TYPE_CHECKING:
     from .ensemble import Curves, Outcome, Point, Ramps, chamber_curves, chamber_ramps, pressure_ramps
     from .family import SurfaceFamily
     from .loading import Chamber, ChargeControl, ConstantPressure, ConstantVoltage, PrescribedVolume
+    from .material_page import balloon_pressure, plot_material, tension_curves
     from .materials import (
         ArrudaBoyce,
         ConstantBreakdown,
