@@ -19,6 +19,7 @@ _ROOMS = {
         "VHBBreakdown",
         "stresses",
     ),
+    "elastomers": ("CustomPermittivity", "Electrostrictive", "MooneyRivlin", "Ogden"),
     "membrane": ("Membrane", "Profile", "vhb_4910"),
     "loading": ("Chamber", "ChargeControl", "ConstantPressure", "ConstantVoltage", "PrescribedVolume"),
     "scene": ("PARAMETERS", "Scene", "Window", "describe"),
@@ -30,8 +31,13 @@ _ROOMS = {
     "surface": ("SheetState", "Surface"),
     "ensemble": ("Curves", "Outcome", "Point", "Ramps", "chamber_curves", "chamber_ramps", "pressure_ramps"),
     "family": ("SurfaceFamily",),
+    "portraits": ("breakdown_latitudes", "plot_cross_section", "plot_distribution"),
+    "material_page": ("balloon_pressure", "plot_material", "tension_curves"),
+    "animation": ("animate_ramp", "plot_ramp", "ramp_path"),
     "states": ("equilibrium",),
     "diagram": ("Diagram", "pressure_volume", "voltage_volume"),
+    "paper_statements": ("Statement",),
+    "paper": ("reproduce",),
     "batch": ("Batch", "continue_scenes"),
     "critical_points": (
         "CriticalPoint",
@@ -52,6 +58,7 @@ _HOME = {name: room for room, names in _ROOMS.items() for name in names}
 __all__ = [*_HOME]
 
 if typing.TYPE_CHECKING:
+    from .animation import animate_ramp, plot_ramp, ramp_path
     from .batch import Batch, continue_scenes
     from .cache import enable_compilation_cache
     from .calibration import Calibration, calibrate, read_measurement
@@ -69,9 +76,11 @@ if typing.TYPE_CHECKING:
         snap_voltage,
     )
     from .diagram import Diagram, pressure_volume, voltage_volume
+    from .elastomers import CustomPermittivity, Electrostrictive, MooneyRivlin, Ogden
     from .ensemble import Curves, Outcome, Point, Ramps, chamber_curves, chamber_ramps, pressure_ramps
     from .family import SurfaceFamily
     from .loading import Chamber, ChargeControl, ConstantPressure, ConstantVoltage, PrescribedVolume
+    from .material_page import balloon_pressure, plot_material, tension_curves
     from .materials import (
         ArrudaBoyce,
         ConstantBreakdown,
@@ -83,6 +92,9 @@ if typing.TYPE_CHECKING:
         stresses,
     )
     from .membrane import Membrane, Profile, vhb_4910
+    from .paper import reproduce
+    from .paper_statements import Statement
+    from .portraits import breakdown_latitudes, plot_cross_section, plot_distribution
     from .profiles import energy, profile, scaling_defect
     from .records import Branch, Event, Ramp, SpecialPoint, State
     from .results import Code, SceneError

@@ -16,7 +16,7 @@ from typing import Any
 
 from .arguments import (
     CHAMBER_OPTIONS,
-    MATERIAL_CONSTANT,
+    MATERIAL_CONSTANTS,
     PROGRAM,
     UNIT_CONSTANTS,
     BadInput,
@@ -39,9 +39,9 @@ def _say(text: str) -> None:
 
 def _membrane(dj: Any, args: argparse.Namespace) -> Any:
     kinds = {"gent": dj.Gent, "neo-hookean": dj.NeoHookean, "arruda-boyce": dj.ArrudaBoyce}
-    constant = MATERIAL_CONSTANT[args.material]
-    value = getattr(args, constant) if constant else None
-    material = kinds[args.material](**({} if value is None else {constant: value}))
+    kinds |= {"mooney-rivlin": dj.MooneyRivlin, "ogden": dj.Ogden}
+    given = {name: getattr(args, name) for name in MATERIAL_CONSTANTS[args.material]}
+    material = kinds[args.material](**{name: value for name, value in given.items() if value is not None})
     own = {} if args.units is None else {n: getattr(args.units, n) for n in ("shear_modulus", "relative_permittivity")}
     breakdown = dj.VHBBreakdown(**own) if args.breakdown == "vhb" else dj.ConstantBreakdown(args.breakdown)
     return dj.Membrane(material=material, prestretch=args.prestretch, breakdown=breakdown)
@@ -260,6 +260,20 @@ def _write(document: dict, draw: Callable[[], Any], args: argparse.Namespace) ->
         print(_summary(_in_units(document, args.units, read=True)), flush=True)
 
 
+def _run_paper(args: argparse.Namespace) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from .paper import reproduce
+    from .paper_statements import statements_table
+
+    Path(args.output).mkdir(exist_ok=True)
+    try:
+        print(statements_table(reproduce(args.output, args.only, say=_say)), flush=True)
+    except ValueError as error:
+        raise BadInput(option_names(str(error), args)) from error
+
+
 def _answer(args: argparse.Namespace) -> None:
     """Computes and writes what well-formed options ask for."""
     import jax
@@ -268,6 +282,8 @@ def _answer(args: argparse.Namespace) -> None:
     import dielectric_jax as dj
 
     dj.enable_compilation_cache()
+    if args.command == "paper":
+        return _run_paper(args)
     if args.points is None:
         args.points = 256
     try:

@@ -13,6 +13,7 @@ from .records import Branch, Event, SpecialPoint, State
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 __all__ = [
     "COLOURS",
@@ -26,6 +27,8 @@ __all__ = [
     "event_entries",
     "line_entries",
     "line_entry",
+    "new_axes",
+    "new_figure",
     "point_entries",
     "sequence",
     "viewed",
@@ -45,7 +48,8 @@ _LABELS = {
     "volume": ("Volume V", "Volume V / A³"),
     "radius": ("Undeformed radius R", "Undeformed radius R / A"),
     "r": ("Radius r", "Radius r / A"),
-    "z": ("Height z", "Height z / A"),
+    "z": ("Depth below the apex z", "Depth below the apex z / A"),
+    "height": ("Height", "Height / A"),
     "stretch": ("Stretch λ", "Stretch λ"),
     "stretch_1": ("Meridional stretch λ₁", "Meridional stretch λ₁"),
     "stretch_2": ("Hoop stretch λ₂", "Hoop stretch λ₂"),
@@ -73,6 +77,18 @@ _EVENTS = {
     "no_landing": ("^", "snap without landing"),
     "end": (">", "end of the ramp"),
 }
+
+
+def new_figure(width: float, height: float = 4.6) -> Figure:
+    """A new figure of inches."""
+    import matplotlib.pyplot as plt
+
+    return plt.figure(figsize=(width, height), layout="constrained")
+
+
+def new_axes(ax: Axes | None, width: float = 6.0) -> Axes:
+    """The axes to draw on, new ones when None."""
+    return new_figure(width).add_subplot() if ax is None else ax
 
 
 def axis_label(name: str, units: Any = None) -> str:

@@ -23,6 +23,8 @@ from .drawing import (
     event_entries,
     line_entries,
     line_entry,
+    new_axes,
+    new_figure,
     point_entries,
     sequence,
     viewed,
@@ -54,7 +56,7 @@ def plot_voltage_volume(
     """
     _require_kind(diagram, "voltage-volume")
     diagram, units = viewed(diagram, units)
-    ax = _axes(ax)
+    ax = new_axes(ax)
     for number, branch in enumerate(diagram.branches):
         points = [p for p in diagram.special_points if p.branch == number]
         volume, q, broken, stable = columns(branch, "voltage_squared", points)
@@ -100,7 +102,7 @@ def plot_pressure_volume(
     for diagram in diagrams:
         _require_kind(diagram, "pressure-volume")
     diagrams, (units, *_) = zip(*(viewed(d, units) for d in diagrams), strict=True)
-    ax = _axes(ax)
+    ax = new_axes(ax)
     entries, shown = [], []
     for diagram, colour in zip(diagrams, sequence(len(diagrams)), strict=True):
         for number, branch in enumerate(diagram.branches):
@@ -142,7 +144,7 @@ def plot_chamber(
         The figure.
     """
     _require_kind(diagram, "voltage-volume")
-    figure = _figure(11.0 if curves else 6.0) if figure is None else figure
+    figure = new_figure(11.0 if curves else 6.0) if figure is None else figure
     if not curves:
         plot_voltage_volume(diagram, ax=figure.add_subplot(), units=units)
         return figure
@@ -164,7 +166,8 @@ def plot_chamber(
     draw_events(left, diagram.events, "pressure", gas_line=gas_line)
     colours = sequence(len(curves))
     entries = [line_entry(voltage_text(c.voltage, units), colour=k) for c, k in zip(curves, colours, strict=True)]
-    entries.append(line_entry("air", colour="black", linestyle=GAS))
+    held = diagram.gas_pressure(volume) is None
+    entries.append(line_entry("pressure held" if held else "air", colour="black", linestyle=GAS))
     add_legend(left, entries)
     return figure
 
@@ -177,7 +180,7 @@ def plot_diagram(
         return plot_chamber(diagram, curves, figure=figure, units=units)
     if curves:
         raise ValueError("Argument `curves` must be empty for a diagram of kind 'pressure-volume', but is not.")
-    figure = _figure(6.0) if figure is None else figure
+    figure = new_figure(6.0) if figure is None else figure
     plot_pressure_volume(diagram, ax=figure.add_subplot(), units=units)
     return figure
 
@@ -191,16 +194,6 @@ def chamber_voltages(diagram: Any) -> list[float]:
             if all(abs(phi - other) > 1e-6 for other in voltages):
                 voltages.append(phi)
     return sorted(voltages)
-
-
-def _axes(ax: Axes | None) -> Axes:
-    return _figure(6.0).add_subplot() if ax is None else ax
-
-
-def _figure(width: float) -> Figure:
-    import matplotlib.pyplot as plt
-
-    return plt.figure(figsize=(width, 4.6), layout="constrained")
 
 
 def _require_kind(diagram: Any, kind: str) -> None:

@@ -12,7 +12,7 @@ from .branches import cached_scan
 from .chart import map_nodes, stretch_shares
 from .equilibria import Points, polish
 from .loading import Chamber, ConstantPressure, ConstantVoltage, PrescribedVolume, mechanical
-from .materials import is_concrete, largest_load
+from .materials import capacitance, is_concrete, largest_load
 from .membrane import Membrane, require_float64
 from .records import State, voltage_of
 from .results import Code, SceneError, check_positive
@@ -74,11 +74,12 @@ def states_of(points: Points, tolerance: float) -> list[State]:
 
 
 def flat_state(membrane: Membrane, q: float) -> State:
-    """λ1 = λ2 = λ0, p = V = 0: charge π Φ λ0⁴."""
+    """λ1 = λ2 = λ0, p = V = 0: charge π Φ C(λ0, λ0), π Φ λ0⁴ where e = 1."""
     stretch = float(membrane.prestretch)
     phi = math.sqrt(q) if q >= 0 else math.nan
     ratio = phi * stretch**2 / float(membrane.breakdown.field(stretch)) if q >= 0 else math.nan
-    return State(q, 0.0, 0.0, stretch, 0.0, math.pi * phi * stretch**4, ratio, 0, 1e-13)
+    charge = math.pi * phi * float(capacitance(membrane.material, stretch, stretch))
+    return State(q, 0.0, 0.0, stretch, 0.0, charge, ratio, 0, 1e-13)
 
 
 def filling(scene: Scene, tolerance: float) -> tuple[float | None, float | None]:

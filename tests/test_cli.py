@@ -62,7 +62,11 @@ BAD = [
     (["equilibrium", "--volume", "1", "--voltage", "-0.1"], "--voltage", "'-0.1'"),
     (["equilibrium", "--volume", "1", "--prestretch", "0.9"], "--prestretch", "at least 1, but is '0.9'"),
     (["equilibrium", "--volume", "1", "--stretch-limit", "0"], "--stretch-limit", "positive"),
-    (["equilibrium", "--volume", "1", "--material", "rubber"], "--material", "gent, neo-hookean or arruda-boyce"),
+    (
+        ["equilibrium", "--volume", "1", "--material", "rubber"],
+        "--material",
+        "gent, neo-hookean, arruda-boyce, mooney-rivlin or ogden",
+    ),
     (["equilibrium", "--volume", "1", "--material", "neo-hookean", "--stretch-limit", "9"], "--stretch-limit", "gent"),
     (["equilibrium", "--volume", "1", "--chain-links", "9"], "--chain-links", "arruda-boyce"),
     (["equilibrium", "--volume", "1", "--breakdown", "air"], "--breakdown", "vhb or a positive field"),
