@@ -78,7 +78,7 @@ class Stability:
     """What `stability_of` tells of a state.
 
     `index` is None where it is not valid, for `reasons`: "not_elliptic", "no_tension" (of the meridian), "near_fold"
-    (nearer to a change of the index than the shot can tell), "unresolved". `hoop_tension` is the least true hoop stress
+    (nearer to a change of the index than the shot can tell), "unresolved" (the grids differ; numbers may be NaN). `hoop_tension` is the least true hoop stress
     σ2 and `hoop_tension_radius` the R where it is taken; `meridional_tension` the least σ1; `tangent_modulus` the least
     ∂s1/∂λ1, the margin of ellipticity.
     """
@@ -166,7 +166,8 @@ def stability_of(what: Scene | Membrane, state):
         if not isinstance(s, State):
             raise ValueError(f"`state` must be a State or a sequence of them, but holds a {type(s).__name__}.")
     curved = [i for i, s in enumerate(states) if s.pressure > 0]
-    told: dict = dict(zip(curved, _curved(what, membrane, [states[i] for i in curved]), strict=True))
+    chosen = [states[i] for i in curved]
+    told = dict(zip(curved, judge(what, chosen, survey(membrane, chosen)), strict=True))
     found = [told[i] if i in told else _flat(membrane, s) for i, s in enumerate(states)]
     return found[0] if one else found
 
@@ -196,29 +197,40 @@ def _weights(what, states: list[State]):
     return by_p, by_v
 
 
-def _curved(what, membrane: Membrane, states: list[State]) -> list[Stability]:
+def survey(membrane: Membrane, states: list[State]) -> list:
+    """What `_survey_program` gives of inflated states on each of the grids."""
+    u = np.array([[s.apex_stretch, s.pressure, s.voltage_squared] for s in states]).T.reshape(3, -1)
     if not states:
         return []
-    u = np.array([[s.apex_stretch, s.pressure, s.voltage_squared] for s in states]).T
-    by_p, by_v = _weights(what, states)
+    return [run_chunks(lambda part, n=steps: _survey_program(membrane.material, part, n), u) for steps in _GRIDS]
+
+
+def judge(what: Scene | Membrane, states: list[State], surveys: list) -> list[Stability]:
+    """The stability under a loading of states that were surveyed."""
+    if not states:
+        return []
+    membrane = what.membrane if isinstance(what, Scene) else what
+    apex, q = (np.array([getattr(s, name) for s in states]) for name in ("apex_stretch", "voltage_squared"))
     charged = isinstance(what, Scene) and isinstance(what.loading, ChargeControl)
-    grids = []
-    for steps in _GRIDS:
-        survey = run_chunks(lambda part, n=steps: _survey_program(membrane.material, part, n), u)
-        grids.append((survey, *_index_and_signs(survey, u[2], by_p, by_v, charged)))
-    (_, coarse, rough), (survey, index, signs) = grids
-    lag, _, _, _, zeros, radius, hoop, tension, modulus = survey
+    given = q, *_weights(what, states), charged
+    (coarse, rough), (index, signs) = (_index_and_signs(found, *given) for found in surveys)
+    lag, _, _, _, zeros, radius, hoop, tension, modulus = surveys[1]
     with np.errstate(all="ignore"):
-        defect = np.abs(lag - (float(membrane.prestretch) - u[0])) / u[0]
+        defect = np.abs(lag - (float(membrane.prestretch) - apex)) / apex
+        # beyond t of about 0.99 a shot may blow up every error: then the grids differ
+        agreed = np.abs(lag - surveys[0][0]) / apex < 0.1 * defect + 0.1 * _EQUILIBRIUM
         near = (np.abs(signs) <= _DOUBT * np.abs(signs - rough)).any(axis=0)
     found = []
     for i, state in enumerate(states):
-        if not defect[i] < _EQUILIBRIUM and np.isfinite(lag[i]):
+        if defect[i] > _EQUILIBRIUM and agreed[i]:
             raise ValueError(f"`state` must be an equilibrium of the membrane, but is {state!r}.")
-        told = np.isfinite(signs[:, i]).all() and abs(zeros[i] - grids[0][0][4][i]) < 2
+        if not (defect[i] < _EQUILIBRIUM and agreed[i] and np.isfinite(signs[:, i]).all()):
+            found.append(Stability(None, ("unresolved",), *[np.nan] * 4))
+            continue
+        told = abs(zeros[i] - surveys[0][4][i]) < 2
         doubts = {
-            "no_tension": not tension[i] > 0,
-            "not_elliptic": not modulus[i] > 0,
+            "no_tension": tension[i] <= 0,
+            "not_elliptic": modulus[i] <= 0,
             "near_fold": bool(near[i] or coarse[i] != index[i]) and told,
             "unresolved": not told,
         }
@@ -229,9 +241,9 @@ def _curved(what, membrane: Membrane, states: list[State]) -> list[Stability]:
     return found
 
 
-def _index_and_signs(survey, q, by_p, by_v, charged: bool):
+def _index_and_signs(found, q, by_p, by_v, charged: bool):
     """The index, and the determinants (m, lanes) whose signs it rests on."""
-    _, _, charge, columns, zeros = survey[:5]
+    _, _, charge, columns, zeros = found[:5]
     rim = columns[:, 0].copy()
     rim[0] += 1.0
     a, b = rim[0], rim[1]
