@@ -181,10 +181,7 @@ def main(argv=None) -> int:
         "machine": machine(),
         "seed": args.seed,
         "seconds": time.perf_counter() - begin,
-        "counts": {
-            n: counts[n] for n in ("states", "not_resolved", "answers", "not_valid", "valid", "wrinkled", "equal")
-        }
-        | {n: counts[n] for n in ("equal_on_finer", "ritz_unsure", "wrong")},
+        "counts": {n: counts[n] for n in names},
         "index": {str(k): v for k, v in sorted(by_index.items())},
         "reasons": dict(reasons),
         "differing": differing,

@@ -150,8 +150,8 @@ def _parser() -> _Parser:
     )
     loading = scene.add_mutually_exclusive_group(required=True)
     loading.add_argument("--pressure", type=_not_negative, metavar="P", help="constant pressure")
-    loading.add_argument("--volume", type=_not_negative, metavar="V", help="prescribed volume under the membrane")
     loading.add_argument("--chamber-volume", type=_positive, metavar="VC", help="volume of a closed chamber")
+    loading.add_argument("--volume", type=_not_negative, metavar="V", help="prescribed volume under the membrane")
     filling = scene.add_mutually_exclusive_group()
     filling.add_argument(
         "--initial-volume", type=_not_negative, metavar="V0", help="filling of the chamber, as a volume"

@@ -25,8 +25,10 @@ from .shooting import COLUMNS, integrate_membrane
 
 __all__ = ["Stability", "control_rate", "index_of", "index_under", "stability_of"]
 
+LEAST_ERROR = 1e-13
 _GRIDS = (160.0, 320.0)  # steps; what the two tell differently is not told
 _DOUBT = 20.0  # times the change between the grids: what is smaller has no sign
+_STATE_DOUBT = 100.0  # times the error of the state, relative to the terms of a determinant: likewise
 _EQUILIBRIUM = 1e-5  # largest defect at the rim of a state that is one, relative to λa
 
 
@@ -213,18 +215,20 @@ def judge(what: Scene | Membrane, states: list[State], surveys: list) -> list[St
     apex, q = (np.array([getattr(s, name) for s in states]) for name in ("apex_stretch", "voltage_squared"))
     charged = isinstance(what, Scene) and isinstance(what.loading, ChargeControl)
     given = q, *_weights(what, states), charged
-    (coarse, rough), (index, signs) = (_index_and_signs(found, *given) for found in surveys)
+    (coarse, rough, _), (index, sign, size) = (_index_and_sign(found, *given) for found in surveys)
+    error = np.maximum([s.error_estimate for s in states], LEAST_ERROR)
     lag, _, _, _, zeros, radius, hoop, tension, modulus = surveys[1]
     with np.errstate(all="ignore"):
         defect = np.abs(lag - (float(membrane.prestretch) - apex)) / apex
         # beyond t of about 0.99 a shot may blow up every error: then the grids differ
         agreed = np.abs(lag - surveys[0][0]) / apex < 0.1 * defect + 0.1 * _EQUILIBRIUM
-        near = (np.abs(signs) <= _DOUBT * np.abs(signs - rough)).any(axis=0)
+        doubt = np.maximum(_DOUBT * np.abs(sign - rough), _STATE_DOUBT * error * size)
+        near = np.abs(sign) <= doubt
     found = []
     for i, state in enumerate(states):
         if defect[i] > _EQUILIBRIUM and agreed[i]:
             raise ValueError(f"`state` must be an equilibrium of the membrane, but is {state!r}.")
-        if not (defect[i] < _EQUILIBRIUM and agreed[i] and np.isfinite(signs[:, i]).all()):
+        if not (defect[i] < _EQUILIBRIUM and agreed[i] and np.isfinite(sign[i])):
             found.append(Stability(None, ("unresolved",), *[np.nan] * 4))
             continue
         told = abs(zeros[i] - surveys[0][4][i]) < 2
@@ -241,19 +245,25 @@ def judge(what: Scene | Membrane, states: list[State], surveys: list) -> list[St
     return found
 
 
-def _index_and_signs(found, q, by_p, by_v, charged: bool):
-    """The index, and the determinants (m, lanes) whose signs it rests on."""
+def _index_and_sign(found, q, by_p, by_v, charged: bool):
+    """The index, the determinant (lanes,) whose sign it turns on, and the size of that determinant's terms.
+
+    Where a determinant of fewer constraints vanishes, zeros and corrections change together and the index does not.
+    """
     _, _, charge, columns, zeros = found[:5]
     rim = columns[:, 0].copy()
     rim[0] += 1.0
-    a, b = rim[0], rim[1]
-    pair = columns[:, :2]
+    a, b, pair = rim[0], rim[1], columns[:, :2]
     index = index_under(zeros, a, pair, by_p, by_v)
-    signs = [a, _gain(a, b, pair, by_p, by_v)]
-    if charged:
-        condition = by_v * columns[:, 1]
-        condition[1] += by_p
-        along = np.cross(rim.T, condition.T).T
-        index = _under_charge(index, along, q, charge, columns[:, 2])
-        signs += [along[2], control_rate(q, along, charge, columns[:, 2])]
-    return index, np.stack(signs)
+    if not charged:
+        size = _gain(1 + np.abs(a), -np.abs(b), np.abs(pair), by_p, by_v)
+        return index, _gain(a, b, pair, by_p, by_v), size
+    condition = by_v * columns[:, 1]
+    condition[1] += by_p
+    along = np.cross(rim.T, condition.T).T
+    index = _under_charge(index, along, q, charge, columns[:, 2])
+    one, other = np.abs(rim), np.abs(condition)
+    one[0] += 1.0
+    most = np.stack([one[i] * other[j] + one[j] * other[i] for i, j in ((1, 2), (2, 0), (0, 1))])
+    size = control_rate(np.abs(q), most, charge, np.abs(columns[:, 2]))
+    return index, control_rate(q, along, charge, columns[:, 2]), size
