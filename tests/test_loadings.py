@@ -38,8 +38,8 @@ def turning_point(condition, control, near, reach, load):
     wrong = condition(*mapped(nodes, before)[:2])
     for _ in range(7):  # the secant method, all nodes at once
         now = condition(*mapped(nodes, q)[:2])
-        with np.errstate(all="ignore"):
-            move = np.nan_to_num(-now * (q - before) / (now - wrong))
+        gap = now - wrong
+        move = np.where(gap == 0, 0.0, -now * (q - before) / np.where(gap == 0, 1.0, gap))
         before, wrong, q = q, now, q + move
     assert np.abs(move).max() < 1e-13
     values = control(q, *mapped(nodes, q))

@@ -115,7 +115,7 @@ def test_beside_a_fold_the_index_changes_or_is_not_told(membrane):
     """A little below the peak of p the two states have indices 0 and 1; at the peak none is told."""
     below = dj.equilibrium(membrane, pressure=1.908684829414 - 1e-6, all=True)[:2]
     assert [a.index for a in dj.stability_of(membrane, below)] == [0, 1]
-    peak = [r for r in REFERENCES if r["label"].startswith("lam0=1 Phi=0 fold_p")][0]
+    peak = next(r for r in REFERENCES if r["label"].startswith("lam0=1 Phi=0 fold_p"))
     told = dj.stability_of(membrane, state_of(peak))
     assert told.index is None and told.reasons == ("near_fold",) and told.stable is None
     # the fold of the pressure is none of a held volume
