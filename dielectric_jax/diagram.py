@@ -123,9 +123,11 @@ class Diagram:
         """The JSON document of the contract."""
         stretches, _, loads = self.limits
         ramp = None if self._up is None else [e.to_json(self.control) for e in self.events]
+        control = {"control": "charge"} if self.control == "charge" else {}
         return plain(
             {
                 "scene": describe(self.scene),
+                **control,
                 "units": "dimensionless",
                 "engine": self.engine,
                 "window": {
