@@ -29,7 +29,7 @@ LEAST_ERROR = 1e-13
 _GRIDS = (160.0, 320.0)  # steps; what the two tell differently is not told
 _DOUBT = 20.0  # times the change between the grids: what is smaller has no sign
 _STATE_DOUBT = 100.0  # times the error of the state, relative to the terms of a determinant: likewise
-_EQUILIBRIUM = 1e-5  # largest defect at the rim of a state that is one, relative to λa, or to p in the pressure
+_EQUILIBRIUM = 1e-5  # largest defect at the rim of a state that is one, relative to λa, or to p or q in these
 
 
 def index_of(zeros, jacobian, columns, volume, contour, charge=None):
@@ -221,10 +221,11 @@ def judge(what: Scene | Membrane, states: list[State], surveys: list) -> list[St
     lag, _, _, columns, zeros, radius, hoop, tension, modulus = surveys[1]
     with np.errstate(all="ignore"):
         defect = np.abs(lag - (float(membrane.prestretch) - apex)) / apex
-        # towards the cone an exact state's shot may end far off, but a small change of its pressure mends that
-        off = np.minimum(defect, defect * apex / np.abs(columns[1, 0] * pressure))
+        # towards the cone an exact state's shot may end far off, but a small change of its p or q mends that
+        reach = np.maximum(np.abs(columns[1, 0] * pressure), np.abs(columns[2, 0] * q))
+        off = np.minimum(defect, defect * apex / reach)
         # beyond t of about 0.99 a shot may blow up every error: then the grids differ
-        agreed = np.abs(lag - surveys[0][0]) / apex < 0.1 * defect + 0.1 * _EQUILIBRIUM
+        agreed = np.abs(lag - surveys[0][0]) / apex < 0.01 * defect + 0.1 * _EQUILIBRIUM
         doubt = np.maximum(_DOUBT * np.abs(sign - rough), _STATE_DOUBT * error * size)
         near = np.abs(sign) <= doubt
     found = []
