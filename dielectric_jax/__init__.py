@@ -50,7 +50,8 @@ _ROOMS = {
         "snap_point",
         "snap_voltage",
     ),
-    "calibration": ("Calibration", "calibrate", "read_measurement"),
+    "measurements": ("read_measurement",),
+    "calibration": ("Calibration", "calibrate"),
     "cache": ("enable_compilation_cache",),
 }
 _HOME = {name: room for room, names in _ROOMS.items() for name in names}
@@ -61,7 +62,7 @@ if typing.TYPE_CHECKING:
     from .animation import animate_ramp, plot_ramp, ramp_path
     from .batch import Batch, continue_scenes
     from .cache import enable_compilation_cache
-    from .calibration import Calibration, calibrate, read_measurement
+    from .calibration import Calibration, calibrate
     from .chart import explicit_map
     from .continuation import Problem, Steps, Trace, trace
     from .critical_points import (
@@ -91,6 +92,7 @@ if typing.TYPE_CHECKING:
         VHBBreakdown,
         stresses,
     )
+    from .measurements import read_measurement
     from .membrane import Membrane, Profile, vhb_4910
     from .paper import reproduce
     from .paper_statements import Statement

@@ -182,6 +182,7 @@ def _parser() -> _Parser:
     loading = scene.add_mutually_exclusive_group(required=True)
     loading.add_argument("--pressure", type=_not_negative, metavar="P", help="constant pressure")
     loading.add_argument("--chamber-volume", type=_positive, metavar="VC", help="volume of a closed chamber")
+    loading.add_argument("--volume", type=_not_negative, metavar="V", help="prescribed volume under the membrane")
     filling = scene.add_mutually_exclusive_group()
     filling.add_argument(
         "--initial-volume", type=_not_negative, metavar="V0", help="filling of the chamber, as a volume"
@@ -191,6 +192,9 @@ def _parser() -> _Parser:
         "--atmospheric-pressure", type=_not_negative, metavar="PATM", help="pressure outside (50; 100 kPa)"
     )
     scene.add_argument("--polytropic-exponent", type=_positive, metavar="N", help="1 is isothermal (1)")
+    scene.add_argument(
+        "--control", choices=["voltage", "charge"], default="voltage", help="what a ramp changes (voltage)"
+    )
     scene.add_argument(
         "--engine", choices=["continuation", "surface"], default="continuation", help="how it is computed"
     )
@@ -237,12 +241,15 @@ def _check(args: argparse.Namespace) -> None:
             raise BadInput(f"{_option(name)} must be two numbers A < B, but is {window[0]:g} {window[1]:g}.")
     if args.command == "voltage-volume":
         given = [name for name in CHAMBER_OPTIONS if getattr(args, name) is not None]
-        if args.pressure is not None and given:
-            raise BadInput(f"{_option(given[0])} must be given with --chamber-volume only, not with --pressure.")
-        if args.pressure is None and args.initial_volume is None and args.initial_pressure is None:
+        other = "pressure" if args.pressure is not None else "volume"
+        if args.chamber_volume is None and given:
+            raise BadInput(f"{_option(given[0])} must be given with --chamber-volume only, not with --{other}.")
+        if args.chamber_volume is not None and args.initial_volume is None and args.initial_pressure is None:
             raise BadInput(
                 "--initial-volume or --initial-pressure must be given with --chamber-volume, but neither is."
             )
+        if args.control == "charge" and args.engine == "surface":
+            raise BadInput("--engine must be continuation with --control charge, but is surface.")
     if args.command == "equilibrium" and args.points is not None and args.figure is None:
         raise BadInput("--points must be given with --figure only for equilibrium, because a state has no branch.")
     if args.json is not None and args.json != "-":
@@ -278,7 +285,6 @@ def option_names(message: str, args: argparse.Namespace) -> str:
         "load_fraction": "--load-window",
         "field": "--breakdown",
         "constant_field": "--breakdown",
-        "volume": "--chamber-volume" if args.command == "voltage-volume" else "--volume",
     }
     if getattr(args, "apex_stretch", None) is None:
         aliases["apex_stretch"] = "--stretch-window"

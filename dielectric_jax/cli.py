@@ -73,9 +73,13 @@ def _window(dj: Any, args: argparse.Namespace) -> Any:
 def _scene(dj: Any, args: argparse.Namespace) -> Any:
     if args.pressure is not None:
         loading = dj.ConstantPressure(pressure=args.pressure)
+    elif args.volume is not None:
+        loading = dj.PrescribedVolume(volume=args.volume)
     else:
         given = {name: getattr(args, name) for name in CHAMBER_OPTIONS if getattr(args, name) is not None}
         loading = dj.Chamber(volume=args.chamber_volume, **given)
+    if args.control == "charge":
+        loading = dj.ChargeControl(loading)
     return dj.Scene(_membrane(dj, args), loading, _window(dj, args), args.units)
 
 
@@ -143,7 +147,7 @@ def _run_voltage_volume(dj: Any, args: argparse.Namespace) -> tuple[dict, Callab
         from .plotting import chamber_voltages, plot_chamber
 
         curves = []
-        for voltage in chamber_voltages(diagram):
+        for voltage in chamber_voltages(diagram) if args.control == "voltage" else []:
             try:
                 curves += _curves(dj, args, scene.membrane, [voltage], surface)
             except SceneError:
@@ -198,7 +202,18 @@ def _summary(document: dict) -> str:
     if document["special_points"]:
         lines += _state_lines("special points", document["special_points"], ("kind", "branch"), units)
     if document["ramp"]:
-        names = ("event", "direction", "voltage", "pressure", "volume", "apex_stretch", "breakdown_ratio", "reason")
+        charge = ("charge",) if "charge" in document["ramp"][0] else ()
+        names = (
+            "event",
+            "direction",
+            "voltage",
+            *charge,
+            "pressure",
+            "volume",
+            "apex_stretch",
+            "breakdown_ratio",
+            "reason",
+        )
         lines += ["", "ramp", _table(_heads(names, units), [[e[n] for n in names] for e in document["ramp"]])]
     if document["area_strain_reason"] is not None:
         lines += ["", f"area strain: {_number_text(document['area_strain'])} ({document['area_strain_reason']})"]

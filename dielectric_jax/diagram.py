@@ -125,9 +125,11 @@ class Diagram:
         """The JSON document of the contract; with `units` its quantities are in SI, named under "unit_names"."""
         stretches, _, loads = self.limits
         ramp = None if self._up is None else [e.to_json(self.control) for e in self.events]
+        control = {"control": "charge"} if self.control == "charge" else {}
         document = plain(
             {
                 "scene": describe(self.scene),
+                **control,
                 "units": "dimensionless",
                 "engine": self.engine,
                 "window": {

@@ -22,9 +22,9 @@ from .surface import Surface
 
 __all__ = ["equilibrium", "filling", "flat_state", "states_of"]
 
-
 _MOST_ERROR = 1e-3  # the loosest tolerance: what is farther off is no state
 _FLATTEST = 4e-11  # of λa − λ0, and of λ0 − 1
+_WRINKLED = 1e-9  # hoop compression that is one: where it begins its sign is not told
 _CONE = 3e-4  # 1 − t up to which states are sought; folds towards the cone are a factor of 3.6 apart
 
 
@@ -67,7 +67,8 @@ def states_of(points: Points, tolerance: float) -> list[State]:
             index=int(points.index[i]) if points.index[i] >= 0 else None,
             error_estimate=float(points.error[i]),
             flags=("error_above_tolerance",) * (not points.error[i] <= tolerance)
-            + ("index_not_valid",) * bool(points.index[i] < 0),
+            + ("index_not_valid",) * bool(points.index[i] < 0)
+            + ("hoop_tension_lost",) * bool(points.hoop[i] < -_WRINKLED),
         )
         for i in range(len(points))
     ]

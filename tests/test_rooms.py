@@ -54,6 +54,7 @@ ROOMS = [
     "portraits",
     "material_page",
     "diagram",
+    "measurements",
     "calibration",
     "searches",
     "critical_points",
