@@ -90,7 +90,7 @@ BAD = [
     (["voltage-volume", "--pressure", "1", "--initial-volume", "1"], "--initial-volume", "--chamber-volume only"),
     (["voltage-volume", "--pressure", "1", "--polytropic-exponent", "1"], "--polytropic-exponent", "not with"),
     ([*CHAMBER, "--engine", "magic"], "--engine", "continuation"),
-    (["draw"], "COMMAND", "equilibrium, pressure-volume or voltage-volume, but is 'draw'"),
+    (["draw"], "COMMAND", "equilibrium, pressure-volume, voltage-volume or paper, but is 'draw'"),
     ([], "COMMAND", "must be given"),
 ]
 
