@@ -95,7 +95,7 @@ BAD = [
     ([*CHAMBER, "--control", "current"], "--control", "voltage or charge"),
     ([*CHAMBER, "--control", "charge", "--engine", "surface"], "--engine", "continuation with --control charge"),
     ([*CHAMBER, "--engine", "magic"], "--engine", "continuation"),
-    (["draw"], "COMMAND", "equilibrium, pressure-volume or voltage-volume, but is 'draw'"),
+    (["draw"], "COMMAND", "equilibrium, pressure-volume, voltage-volume or paper, but is 'draw'"),
     ([], "COMMAND", "must be given"),
 ]
 
