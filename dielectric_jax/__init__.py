@@ -28,7 +28,17 @@ _ROOMS = {
     "chart": ("explicit_map",),
     "continuation": ("Problem", "Steps", "Trace", "trace"),
     "surface": ("SheetState", "Surface"),
-    "ensemble": ("Curves", "Outcome", "Point", "Ramps", "chamber_curves", "chamber_ramps", "pressure_ramps"),
+    "ensemble": (
+        "Curves",
+        "Outcome",
+        "Point",
+        "Ramps",
+        "chamber_curves",
+        "chamber_ramps",
+        "filling_volumes",
+        "pressure_curves",
+        "pressure_ramps",
+    ),
     "family": ("SurfaceFamily",),
     "states": ("equilibrium",),
     "diagram": ("Diagram", "pressure_volume", "voltage_volume"),
@@ -44,6 +54,11 @@ _ROOMS = {
         "snap_point",
         "snap_voltage",
     ),
+    "axes": ("Axis", "read_scenes", "samples", "zipped"),
+    "columns": ("Answer", "Regime"),
+    "sweeps": ("open_sweep", "sweep"),
+    "specification": ("read_specification", "scene_of"),
+    "reading": ("best_designs", "compare_sweeps", "count_sweep", "export_sweep", "plot_sweep", "select_regime"),
     "cache": ("enable_compilation_cache",),
 }
 _HOME = {name: room for room, names in _ROOMS.items() for name in names}
@@ -51,9 +66,11 @@ _HOME = {name: room for room, names in _ROOMS.items() for name in names}
 __all__ = [*_HOME]
 
 if typing.TYPE_CHECKING:
+    from .axes import Axis, read_scenes, samples, zipped
     from .batch import Batch, continue_scenes
     from .cache import enable_compilation_cache
     from .chart import explicit_map
+    from .columns import Answer, Regime
     from .continuation import Problem, Steps, Trace, trace
     from .critical_points import (
         CriticalPoint,
@@ -67,7 +84,17 @@ if typing.TYPE_CHECKING:
         snap_voltage,
     )
     from .diagram import Diagram, pressure_volume, voltage_volume
-    from .ensemble import Curves, Outcome, Point, Ramps, chamber_curves, chamber_ramps, pressure_ramps
+    from .ensemble import (
+        Curves,
+        Outcome,
+        Point,
+        Ramps,
+        chamber_curves,
+        chamber_ramps,
+        filling_volumes,
+        pressure_curves,
+        pressure_ramps,
+    )
     from .family import SurfaceFamily
     from .loading import Chamber, ChargeControl, ConstantPressure, ConstantVoltage, PrescribedVolume
     from .materials import (
@@ -82,13 +109,16 @@ if typing.TYPE_CHECKING:
     )
     from .membrane import Membrane, Profile, vhb_4910
     from .profiles import energy, profile, scaling_defect
+    from .reading import best_designs, compare_sweeps, count_sweep, export_sweep, plot_sweep, select_regime
     from .records import Branch, Event, Ramp, SpecialPoint, State
     from .results import Code, SceneError
     from .scene import PARAMETERS, Scene, Window, describe
     from .shooting import shoot
+    from .specification import read_specification, scene_of
     from .stability import Stability, stability_of
     from .states import equilibrium
     from .surface import SheetState, Surface
+    from .sweeps import open_sweep, sweep
     from .units import VHB_4910, Units
 
 

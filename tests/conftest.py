@@ -18,6 +18,15 @@ hypothesis.settings.load_profile("gate")
 
 
 @pytest.fixture(scope="session")
+def kept_surfaces(tmp_path_factory):
+    """A folder in which surfaces, and programs of other processes, are kept while the tests run."""
+    folder = tmp_path_factory.mktemp("cache")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("DIELECTRIC_JAX_CACHE", str(folder))
+        yield folder
+
+
+@pytest.fixture(scope="session")
 def membrane():
     """The membrane of the paper: Gent with J = 270, not prestretched."""
     return dj.Membrane()

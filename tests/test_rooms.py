@@ -7,6 +7,7 @@ import pytest
 
 ROOMS = [
     "cache",
+    "locks",
     "kept",
     "results",
     "units",
@@ -52,6 +53,14 @@ ROOMS = [
     "diagram",
     "searches",
     "critical_points",
+    "axes",
+    "columns",
+    "workers",
+    "store",
+    "executors",
+    "sweeps",
+    "specification",
+    "reading",
     "arguments",
     "cli",
 ]
