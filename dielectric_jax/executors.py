@@ -73,7 +73,7 @@ def executor_of(what) -> Iterator[_Processes | _Given]:
     elif isinstance(what, str):
         distributed = need("distributed", extra="distributed")
         try:
-            client = distributed.Client(what, timeout="20s", set_as_default=False)
+            client = distributed.Client(what, timeout="10s", set_as_default=False)
         except (OSError, ValueError, TimeoutError):
             raise ValueError(
                 f"`executor` must be the address of a Dask scheduler, but none answers at {what!r}."

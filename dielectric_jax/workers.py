@@ -249,7 +249,7 @@ def _on_surface(job: Job, scene: Scene, loadings: dict, count: int) -> dict[str,
         apex = np.broadcast_to(curves.apex_stretch, curves.pressure.shape)
         error = np.asarray(surface.error_bound(apex, np.nan_to_num(curves.voltage_squared)))
         known = np.isfinite(curves.volume)
-        found["curve_apex_stretch"][which] = apex
+        found["curve_apex_stretch"][which] = np.where(known, apex, np.nan)
         found["curve_error"][which] = np.where(known, error, np.nan)
         for name in ("voltage_squared", "pressure", "volume"):
             found[f"curve_{name}"][which] = getattr(curves, name)
