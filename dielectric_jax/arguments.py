@@ -282,6 +282,7 @@ def option_names(message: str, args: argparse.Namespace) -> str:
         "load_fraction": "--load-window",
         "field": "--breakdown",
         "constant_field": "--breakdown",
+        "SPEC": "SPEC.toml",
         "executor": "--workers or --scheduler",
         "volume": "--chamber-volume" if args.command == "voltage-volume" else "--volume",
     }
