@@ -72,7 +72,7 @@ class Axis:
     @property
     def of_membrane(self) -> bool:
         """Whether the membrane changes along the axis."""
-        return any(PARAMETERS[name][0] == "membrane" for name in self.columns)
+        return any(PARAMETERS[name][0] != "loading" for name in self.columns)
 
 
 def zipped(dimension: str = "scene", /, **columns) -> Axis:

@@ -50,7 +50,7 @@ def _membrane(dj: Any, args: argparse.Namespace) -> Any:
 
 def _units(dj: Any, args: argparse.Namespace) -> Any:
     """The units of --si, None without it; the options' own quantities are made dimensionless."""
-    if not args.si:
+    if not getattr(args, "si", False):
         return None
     from .units import VACUUM_PERMITTIVITY
 

@@ -113,6 +113,7 @@ _QUANTITIES = {
 }
 _ERROR = "bound of the relative error |error|/max(|value|, 1e-3) of the volume and of the squared voltage"
 
+_SI = ("Pa", "m", "F m-1")
 #: attributes of the parameters as coordinates
 PARAMETER_ATTRIBUTES = {
     "chamber_volume": ("volume of the closed chamber", "A^3"),
@@ -125,11 +126,17 @@ PARAMETER_ATTRIBUTES = {
     "breakdown_field_scale": ("factor of the breakdown field", "1"),
     "stretch_limit": ("limit J of the Gent material", "1"),
     "chain_links": ("links of a chain of the eight-chain material", "1"),
+    "shear_modulus": ("shear modulus", "Pa"),
+    "thickness": ("thickness of the undeformed film", "m"),
+    "radius": ("radius of the undeformed membrane", "m"),
+    "permittivity": ("permittivity of the film", "F m-1"),
 }
 
 
 def described(long_name: str, unit: str, **more) -> dict[str, typing.Any]:
-    """Attributes of a dimensionless quantity: CF's unit is 1, and what it is counted in is told beside it."""
+    """Attributes of a quantity: CF's unit of a dimensionless one is 1, and what it is counted in is told beside it."""
+    if unit in _SI:
+        return {"long_name": long_name, "units": unit, **more}
     return {"long_name": long_name, "units": "1", "counted_in": unit, **more}
 
 

@@ -181,7 +181,7 @@ def plot_sweep(data, variable: str, *, x: str, y: str, ax: Axes | None = None, l
 
 def _label(variable) -> str:
     words = variable.attrs.get("long_name", str(variable.name))
-    unit = variable.attrs.get("counted_in", "1")
+    unit = variable.attrs.get("counted_in", variable.attrs.get("units", "1"))
     plain = unit.replace("mu", "μ").replace("epsilon", "ε").replace("sqrt", "√").replace("^2", "²").replace("^3", "³")
     text = words[:1].upper() + words[1:]
     return text if unit == "1" else f"{text} / ({plain})"

@@ -149,6 +149,13 @@ class Scene(eqx.Module):
             scene = _rebuild(scene, path[:-1], changes)
         return scene
 
+    def has(self, name: str) -> bool:
+        """Whether a parameter is one of this scene's."""
+        try:
+            return bool(self.path_of(name))
+        except ValueError:
+            return False
+
     def path_of(self, name: str) -> tuple[str, ...]:
         """Where the scene keeps a parameter; raises ValueError where it has none of that name."""
         path = PARAMETERS.get(name)

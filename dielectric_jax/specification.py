@@ -54,7 +54,7 @@ def scene_of(given: dict[str, typing.Any]) -> Scene:
     >>> float(scene.loading.pressure), float(scene.membrane.prestretch)
     (1.5, 1.2)
     """
-    names = [n for n, path in PARAMETERS.items() if path[-2] in _PLACES]
+    names = [n for n, path in PARAMETERS.items() if path[-2] in _PLACES and n != "volume"]
     _refuse("scene", given, ("material", "breakdown", "stretch_window", "load_window", *names))
     material = given.get("material", "gent")
     if material not in _MATERIALS:

@@ -21,6 +21,7 @@ from .cache import enabled_folder
 from .columns import Answer, variables_of
 from .executors import Progress, executor_of, run_blocks
 from .kept import source_digest
+from .loading import Chamber, ConstantPressure
 from .membrane import require_float64
 from .results import StoreError
 from .scene import Scene, describe
@@ -126,7 +127,7 @@ def _job(design: Design, engine: str, resolve: bool, curves: bool, tolerance: fl
     check_request(8, tolerance)
     if curves and engine != "surface":
         raise ValueError("`curves` must be asked for with the engine 'surface' only, not with 'continuation'.")
-    if not hasattr(design.scene.loading, "volume") and not hasattr(design.scene.loading, "pressure"):
+    if not isinstance(design.scene.loading, (Chamber, ConstantPressure)):
         raise ValueError(f"`scene` must have a Chamber or a ConstantPressure, but has {design.scene.loading!r}.")
     windows = design.scene.window.apex_stretch is not None or design.scene.window.load_fraction != (-1.0, 1.0)
     if windows and engine == "surface":

@@ -114,7 +114,7 @@ def surface_of(membrane: Membrane, tolerance: float, family: tuple[float, float]
 
 def _groups(names: list[str], columns: dict[str, np.ndarray], count: int):
     """The scenes of each membrane: their places, and the values that set the membrane."""
-    own = [name for name in names if PARAMETERS[name][0] == "membrane"]
+    own = [name for name in names if PARAMETERS[name][0] != "loading"]
     if not own:
         yield np.arange(count), {}
         return
@@ -259,7 +259,7 @@ def _on_surface(job: Job, scene: Scene, loadings: dict, count: int) -> dict[str,
 def _columns_of(scene: Scene, loadings: dict, count: int) -> dict[str, typing.Any]:
     """Every parameter of the loading as a column, from those that vary and from the scene."""
     loading, found = scene.loading, {}
-    names = [n for n, path in PARAMETERS.items() if path[0] == "loading" and hasattr(loading, path[-1])]
+    names = [n for n, path in PARAMETERS.items() if path[0] == "loading" and scene.has(n)]
     filled = [name for name in ("initial_volume", "initial_pressure") if name in loadings]
     for name in names:
         value = loadings.get(name, getattr(loading, PARAMETERS[name][-1]))
