@@ -296,7 +296,7 @@ def option_names(message: str, args: argparse.Namespace) -> str:
         return _option(name) if hasattr(args, name) else found[0]
 
     said = re.sub(r"`(\w+)`", option, " ".join(message.split()))
-    if args.si and re.search(r"\d", said):
+    if getattr(args, "si", False) and re.search(r"\d", said):
         said += (
             " (These numbers are dimensionless: lengths in A, pressures in μH/A, volumes in A³, voltages in H√(μ/ε).)"
         )
