@@ -29,7 +29,17 @@ _ROOMS = {
     "chart": ("explicit_map",),
     "continuation": ("Problem", "Steps", "Trace", "trace"),
     "surface": ("SheetState", "Surface"),
-    "ensemble": ("Curves", "Outcome", "Point", "Ramps", "chamber_curves", "chamber_ramps", "pressure_ramps"),
+    "ensemble": (
+        "Curves",
+        "Outcome",
+        "Point",
+        "Ramps",
+        "chamber_curves",
+        "chamber_ramps",
+        "filling_volumes",
+        "pressure_curves",
+        "pressure_ramps",
+    ),
     "family": ("SurfaceFamily",),
     "portraits": ("breakdown_latitudes", "plot_cross_section", "plot_distribution"),
     "material_page": ("balloon_pressure", "plot_material", "tension_curves"),
@@ -52,6 +62,11 @@ _ROOMS = {
     ),
     "measurements": ("read_measurement",),
     "calibration": ("Calibration", "calibrate"),
+    "axes": ("Axis", "read_scenes", "samples", "zipped"),
+    "columns": ("Answer", "Regime"),
+    "sweeps": ("open_sweep", "sweep"),
+    "specification": ("read_specification", "scene_of"),
+    "reading": ("best_designs", "compare_sweeps", "count_sweep", "export_sweep", "plot_sweep", "select_regime"),
     "cache": ("enable_compilation_cache",),
 }
 _HOME = {name: room for room, names in _ROOMS.items() for name in names}
@@ -60,10 +75,12 @@ __all__ = [*_HOME]
 
 if typing.TYPE_CHECKING:
     from .animation import animate_ramp, plot_ramp, ramp_path
+    from .axes import Axis, read_scenes, samples, zipped
     from .batch import Batch, continue_scenes
     from .cache import enable_compilation_cache
     from .calibration import Calibration, calibrate
     from .chart import explicit_map
+    from .columns import Answer, Regime
     from .continuation import Problem, Steps, Trace, trace
     from .critical_points import (
         CriticalPoint,
@@ -78,7 +95,17 @@ if typing.TYPE_CHECKING:
     )
     from .diagram import Diagram, pressure_volume, voltage_volume
     from .elastomers import CustomPermittivity, Electrostrictive, MooneyRivlin, Ogden
-    from .ensemble import Curves, Outcome, Point, Ramps, chamber_curves, chamber_ramps, pressure_ramps
+    from .ensemble import (
+        Curves,
+        Outcome,
+        Point,
+        Ramps,
+        chamber_curves,
+        chamber_ramps,
+        filling_volumes,
+        pressure_curves,
+        pressure_ramps,
+    )
     from .family import SurfaceFamily
     from .loading import Chamber, ChargeControl, ConstantPressure, ConstantVoltage, PrescribedVolume
     from .material_page import balloon_pressure, plot_material, tension_curves
@@ -98,13 +125,16 @@ if typing.TYPE_CHECKING:
     from .paper_statements import Statement
     from .portraits import breakdown_latitudes, plot_cross_section, plot_distribution
     from .profiles import energy, profile, scaling_defect
+    from .reading import best_designs, compare_sweeps, count_sweep, export_sweep, plot_sweep, select_regime
     from .records import Branch, Event, Ramp, SpecialPoint, State
     from .results import Code, SceneError
     from .scene import PARAMETERS, Scene, Window, describe
     from .shooting import shoot
+    from .specification import read_specification, scene_of
     from .stability import Stability, stability_of
     from .states import equilibrium
     from .surface import SheetState, Surface
+    from .sweeps import open_sweep, sweep
     from .units import VHB_4910, Units
 
 

@@ -121,6 +121,12 @@ def _points(text: str) -> int:
     return int(text)
 
 
+def _count(text: str) -> int:
+    if not (re.fullmatch(r"\d+", text) and 1 <= int(text) <= 10_000):
+        raise argparse.ArgumentTypeError(f"must be a whole number from 1 to 10000, but is {text!r}.")
+    return int(text)
+
+
 def _breakdown(text: str) -> str | float:
     if text == "vhb":
         return text
@@ -207,6 +213,19 @@ def _parser() -> _Parser:
         "--output", required=True, metavar="DIR", help="folder to write to; made where its parent exists"
     )
     paper.add_argument("--only", nargs="+", action="extend", metavar="FIGURE", help="numbers of figures (all)")
+
+    many = commands.add_parser("sweep", help="many scenes, kept in a store", description=_DESCRIPTION)
+    many.add_argument("specification", metavar="SPEC.toml", help="which scenes, and with which engine")
+    many.add_argument("--output", metavar="STORE.zarr", required=True, help="the store, written block by block")
+    many.add_argument("--resume", action="store_true", help="go on with the store where there is one")
+    many.add_argument("--accept-versions", action="store_true", help="… also where other versions began it")
+    where = many.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=_count, metavar="N", help="compute in N processes (in this one)")
+    where.add_argument("--scheduler", metavar="ADDRESS", help="… on the cluster of a Dask scheduler")
+    many.add_argument("--export", metavar="FILE", help="in the end also write a .nc (NetCDF) or .csv file")
+    many.add_argument(
+        "--json", metavar="FILE|-", help="write a summary as JSON to a file, or to standard output with -"
+    )
     return parser
 
 
@@ -223,6 +242,11 @@ def _check(args: argparse.Namespace) -> None:
     """Refuses what each option allows alone but not with the others."""
     if args.command == "paper":
         _check_folder("--output", args.output)
+        return
+    if args.json is not None and args.json != "-":
+        _check_file("--json", args.json)
+    if args.command == "sweep":
+        _check_sweep(args)
         return
     for owner, names in MATERIAL_CONSTANTS.items():
         for name in names:
@@ -252,14 +276,24 @@ def _check(args: argparse.Namespace) -> None:
             raise BadInput("--engine must be continuation with --control charge, but is surface.")
     if args.command == "equilibrium" and args.points is not None and args.figure is None:
         raise BadInput("--points must be given with --figure only for equilibrium, because a state has no branch.")
-    if args.json is not None and args.json != "-":
-        _check_file("--json", args.json)
     if args.figure is not None:
         _check_file("--figure", args.figure)
         if Path(args.figure).suffix[1:].lower() not in _FIGURE_SUFFIXES:
             raise BadInput(
                 f"--figure must be a file name ending in {_one_of(_FIGURE_SUFFIXES)}, but is {args.figure!r}."
             )
+
+
+def _check_sweep(args: argparse.Namespace) -> None:
+    parent = Path(args.output).parent
+    if not args.output or not parent.is_dir() or not os.access(parent, os.W_OK):
+        raise BadInput(f"--output must be in a folder that exists and can be written, but is {args.output!r}.")
+    if args.accept_versions and not args.resume:
+        raise BadInput("--accept-versions must be given with --resume only.")
+    if args.export is not None:
+        _check_file("--export", args.export)
+        if Path(args.export).suffix not in (".nc", ".csv"):
+            raise BadInput(f"--export must be a file name ending in .nc or .csv, but is {args.export!r}.")
 
 
 def _check_file(option: str, name: str) -> None:
@@ -285,6 +319,8 @@ def option_names(message: str, args: argparse.Namespace) -> str:
         "load_fraction": "--load-window",
         "field": "--breakdown",
         "constant_field": "--breakdown",
+        "SPEC": "SPEC.toml",
+        "executor": "--workers or --scheduler",
     }
     if getattr(args, "apex_stretch", None) is None:
         aliases["apex_stretch"] = "--stretch-window"

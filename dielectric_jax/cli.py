@@ -10,6 +10,7 @@ import argparse
 import json
 import os
 import sys
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ from .arguments import (
     option_names,
     read_arguments,
 )
-from .results import Code, SceneError
+from .results import Code, SceneError, StoreError, WorkersLost
 
 __all__ = ["main"]
 
@@ -49,7 +50,7 @@ def _membrane(dj: Any, args: argparse.Namespace) -> Any:
 
 def _units(dj: Any, args: argparse.Namespace) -> Any:
     """The units of --si, None without it; the options' own quantities are made dimensionless."""
-    if not args.si:
+    if not getattr(args, "si", False):
         return None
     from .units import VACUUM_PERMITTIVITY
 
@@ -158,7 +159,28 @@ def _run_voltage_volume(dj: Any, args: argparse.Namespace) -> tuple[dict, Callab
     return diagram.to_json(), draw
 
 
+def _run_sweep(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
+    from .specification import read_specification
+
+    scene, axes, options = read_specification(args.specification)
+    options |= {"output": args.output, "resume": args.resume, "accept_versions": args.accept_versions}
+    executor = args.scheduler if args.workers is None else args.workers
+    begin = time.perf_counter()
+    try:
+        data = dj.sweep(scene, *axes, **options, executor=executor)
+    except KeyboardInterrupt:
+        if os.path.exists(args.output):
+            print(f"{PROGRAM}: {args.output!r} keeps what is finished, --resume goes on.", file=sys.stderr)
+        raise
+    seconds = time.perf_counter() - begin
+    if args.export is not None:
+        dj.export_sweep(data, args.export)
+        _say(f"wrote {args.export}")
+    return dj.count_sweep(data) | {"seconds": seconds, "store": args.output}, lambda: None
+
+
 _COMMANDS = {
+    "sweep": _run_sweep,
     "equilibrium": _run_equilibrium,
     "pressure-volume": _run_pressure_volume,
     "voltage-volume": _run_voltage_volume,
@@ -185,6 +207,10 @@ def _range(values: Sequence[float | None]) -> str:
 
 def _summary(document: dict) -> str:
     """A readable summary of a JSON document of this program."""
+    if "store" in document:
+        counts = [[name, code, n] for name in ("outcome", "regime") for code, n in document[name].items()]
+        title = f"{document['scenes']} scenes in {document['store']}, {document['seconds']:.1f} s"
+        return "\n".join([title, _table(("variable", "code", "scenes"), counts)])
     if "diagrams" in document:
         return "\n\n".join(_summary(d) for d in document["diagrams"])
     units = document.get("unit_names", {})
@@ -265,13 +291,14 @@ def _write(document: dict, draw: Callable[[], Any], args: argparse.Namespace) ->
         else:
             Path(args.json).write_text(text, encoding="utf-8")
             _say(f"wrote {args.json}")
-    if args.figure is not None:
+    figure = getattr(args, "figure", None)
+    if figure is not None:
         import matplotlib
 
         matplotlib.use("Agg")
-        draw().savefig(args.figure, dpi=150)
-        _say(f"wrote {args.figure}")
-    if args.json is None and args.figure is None:
+        draw().savefig(figure, dpi=150)
+        _say(f"wrote {figure}")
+    if args.json is None and figure is None:
         print(_summary(_in_units(document, args.units, read=True)), flush=True)
 
 
@@ -299,12 +326,12 @@ def _answer(args: argparse.Namespace) -> None:
     dj.enable_compilation_cache()
     if args.command == "paper":
         return _run_paper(args)
-    if args.points is None:
+    if getattr(args, "points", 0) is None:
         args.points = 256
     try:
         args.units = _units(dj, args)
         document, draw = _COMMANDS[args.command](dj, args)
-    except ValueError as error:
+    except (ValueError, ImportError, StoreError) as error:
         raise BadInput(option_names(str(error), args)) from error
     _write(document, draw, args)
 
@@ -320,7 +347,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BadInput as error:
         print(f"{PROGRAM}: {error}", file=sys.stderr)
         return 2
-    except SceneError as error:
+    except (SceneError, WorkersLost) as error:
         print(f"{PROGRAM}: {error}", file=sys.stderr)
         return 1
     except BrokenPipeError:

@@ -22,7 +22,17 @@ from .results import check_positive
 from .rows import ROWS, Conditions, Rows, crossings, rows_of
 from .surface import ById, Surface
 
-__all__ = ["Curves", "Outcome", "Point", "Ramps", "chamber_curves", "chamber_ramps", "pressure_ramps"]
+__all__ = [
+    "Curves",
+    "Outcome",
+    "Point",
+    "Ramps",
+    "chamber_curves",
+    "chamber_ramps",
+    "filling_volumes",
+    "pressure_curves",
+    "pressure_ramps",
+]
 
 _CHUNK = 256
 _POLISHED = 1e-9  # from this error on the events of a ramp are met on the surface itself
@@ -179,6 +189,16 @@ def first_folds_on(surface: Surface, given: dict) -> np.ndarray:
     return _run(_snaps_chunk, surface, columns, kind, 0)[0]
 
 
+@kept_jit
+def _filling_program(rows: Rows, pressure):
+    start = jax.vmap(lambda p: _start(rows, rows.flat_pressure, rows.flat_volume, p, -1))(pressure)
+    return jnp.where(start.seen(), start.volume, jnp.nan)
+
+
+def _filling_chunk(rows: Rows, lanes, kind: str):
+    return _filling_program(rows, *lanes)
+
+
 def _curves_chunk(rows: Rows, lanes, kind: str):
     q, p, v, _, again = _CROSSINGS[kind](rows, lanes)[2]
     return q, p, v, again
@@ -315,6 +335,33 @@ def chamber_curves(
     (2, 256)
     """
     given = chamber_volume, initial_volume, atmospheric_pressure, polytropic_exponent
-    columns, kind = _chambers(surface, *given)
+    return _curves(surface, *_chambers(surface, *given))
+
+
+def pressure_curves(surface: Surface, pressure) -> Curves:
+    """Voltage–volume curves at constant pressures, as `chamber_curves`.
+
+    >>> from dielectric_jax import Membrane
+    >>> curves = pressure_curves(Surface.build(Membrane()), [1.0, 1.82])
+    >>> bool(np.nanmax(abs(curves.pressure[1] - 1.82)) < 1e-12)
+    True
+    """
+    return _curves(surface, _columns(surface, {"pressure": pressure}), "pressure")
+
+
+def _curves(surface: Surface, columns: list[np.ndarray], kind: str) -> Curves:
     q, p, v, again = _run(_curves_chunk, surface, columns, kind, 1)
     return Curves(np.asarray(rows_of(ById(surface)).apex_stretch), q, p, v, again)
+
+
+def filling_volumes(surface: Surface, pressure) -> np.ndarray:
+    """The volumes V_0 of chambers that are filled to pressures p_0: the state at zero voltage of the smallest volume.
+
+    NaN where the surface holds none.
+
+    >>> from dielectric_jax import Membrane
+    >>> round(float(filling_volumes(Surface.build(Membrane()), 1.886612680245)), 9)
+    2.42
+    """
+    (volume,) = _run(_filling_chunk, surface, _columns(surface, {"initial_pressure": pressure}), "pressure", 0)
+    return volume

@@ -117,10 +117,9 @@ class SurfaceFamily(eqx.Module):
         as long as one surface. Raises ValueError where an argument is not one of these, or nothing meets `tolerance`.
         """
         breakdown = VHBBreakdown() if breakdown is None else breakdown
-        own = _fingerprint(material, _check_range(prestretch), breakdown)
-        low, high = map(float, prestretch)
+        low, high = _check_range(prestretch)
         check_tolerance(tolerance, "surface family")
-        path = cached_path("families", _FORMAT, Membrane(material, low, breakdown), own, tolerance) if cache else None
+        path = cls.path_of(material, (low, high), breakdown, tolerance) if cache else None
         known = kept_or_none(lambda path: cls.load(path, material, breakdown=breakdown), path)
         if known is not None:
             return known
@@ -137,6 +136,12 @@ class SurfaceFamily(eqx.Module):
         if path is not None:
             family.save(path)
         return family
+
+    @classmethod
+    def path_of(cls, material: AbstractMaterial, prestretch, breakdown: AbstractBreakdown, tolerance: float):
+        """Where the cache keeps the family of a material; None where it does not, see `archive.cached_path`."""
+        own = _fingerprint(material, prestretch, breakdown)
+        return cached_path("families", _FORMAT, Membrane(material, prestretch[0], breakdown), own, tolerance)
 
     def locate(self, apex_stretch, load_fraction, prestretch):
         """The element that covers points (λa, t, λ0), −1 outside the domain."""

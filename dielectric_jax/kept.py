@@ -16,7 +16,7 @@ import numpy as np
 
 from .cache import enabled_folder
 
-__all__ = ["kept_jit", "of_this_package"]
+__all__ = ["kept_jit", "of_this_package", "source_digest"]
 
 _PACKAGE = __name__.split(".")[0]
 
@@ -35,11 +35,19 @@ def of_this_package(value) -> bool:
 
 
 @functools.cache
+def source_digest() -> str:
+    """A digest of the package's sources."""
+    digest = hashlib.sha256()
+    for path in sorted(pathlib.Path(__file__).parent.glob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+@functools.cache
 def _versions() -> bytes:
     """What a traced program depends on besides its arguments: the package's source, and what it is traced with."""
     digest = hashlib.sha256(jax.default_backend().encode())
-    for path in sorted(pathlib.Path(__file__).parent.glob("*.py")):
-        digest.update(path.read_bytes())
+    digest.update(source_digest().encode())
     for name in ("jax", "jaxlib", "equinox", "diffrax"):
         digest.update(f"{name} {importlib.metadata.version(name)}".encode())
     return digest.digest()

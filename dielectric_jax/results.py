@@ -7,7 +7,7 @@ Bad input is a `ValueError` whose one sentence names the argument, its value and
 import enum
 import math
 
-__all__ = ["Code", "SceneError", "check_between", "check_positive"]
+__all__ = ["Code", "SceneError", "StoreError", "WorkersLost", "check_between", "check_positive"]
 
 
 class Code(enum.IntEnum):
@@ -91,6 +91,14 @@ class SceneError(RuntimeError):
     def __init__(self, code: Code, detail: str = ""):
         self.code = code
         super().__init__(f"{code.name}: {detail + ' ' if detail else ''}{code.sentence}")
+
+
+class StoreError(OSError):
+    """A store that cannot be written, or goes with another sweep; the message is one sentence."""
+
+
+class WorkersLost(RuntimeError):
+    """Workers died again and again, or could not compute a block; the message is one sentence."""
 
 
 def check_positive(name: str, value: float, *, zero: bool = False) -> None:

@@ -153,20 +153,7 @@ class Scene(eqx.Module):
         """
         scene = self
         for name, value in parameters.items():
-            path = PARAMETERS.get(name, ())
-            if path[:2] == ("membrane", "material") and not _has(scene, path):
-                path = (*path[:2], "elastic", path[-1])  # the elasticity of a dielectric
-            if not path:
-                raise ValueError(f"`{name}` must be one of {', '.join(PARAMETERS)}, but is not a parameter of a scene.")
-            own = _OWNERS.get(name, AbstractLoading)
-            if isinstance(scene.loading, ChargeControl) and path[0] == "loading":
-                path = ("loading", *path)
-            if not (_has(scene, path) and isinstance(mechanical(scene.loading), own)):
-                raise ValueError(
-                    f"`{name}` must be a parameter of this scene, but its {path[0]} has none of that name."
-                    if path[0] != "units" or self.units is not None
-                    else f"`{name}` must be a parameter of this scene, but it carries no `units`."
-                )
+            path = scene.path_of(name)
             if path[0] == "units":
                 scene = scene._in(_rebuild(scene.units, (), {name: value}))
                 continue
@@ -176,6 +163,31 @@ class Scene(eqx.Module):
                 changes[other] = None
             scene = _rebuild(scene, path[:-1], changes)
         return scene
+
+    def has(self, name: str) -> bool:
+        """Whether a parameter is one of this scene's."""
+        try:
+            return bool(self.path_of(name))
+        except ValueError:
+            return False
+
+    def path_of(self, name: str) -> tuple[str, ...]:
+        """Where the scene keeps a parameter; raises ValueError where it has none of that name."""
+        path = PARAMETERS.get(name, ())
+        if path[:2] == ("membrane", "material") and not _has(self, path):
+            path = (*path[:2], "elastic", path[-1])  # the elasticity of a dielectric
+        if not path:
+            raise ValueError(f"`{name}` must be one of {', '.join(PARAMETERS)}, but is not a parameter of a scene.")
+        own = _OWNERS.get(name, AbstractLoading)
+        if isinstance(self.loading, ChargeControl) and path[0] == "loading":
+            path = ("loading", *path)
+        if not (_has(self, path) and isinstance(mechanical(self.loading), own)):
+            raise ValueError(
+                f"`{name}` must be a parameter of this scene, but its {path[0]} has none of that name."
+                if path[0] != "units" or self.units is not None
+                else f"`{name}` must be a parameter of this scene, but it carries no `units`."
+            )
+        return path
 
     def _in(self, units: Units) -> "Scene":
         """The same loading and breakdown field in SI on a film of other constants."""

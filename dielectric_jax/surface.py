@@ -107,7 +107,7 @@ class Surface(eqx.Module):
         if not isinstance(membrane, Membrane):
             raise ValueError(f"`membrane` must be a Membrane, but is a {type(membrane).__name__}.")
         check_tolerance(tolerance, "surface")
-        path = cached_path("surfaces", _FORMAT, membrane, fingerprint(membrane), tolerance) if cache else None
+        path = cls.path_of(membrane, tolerance) if cache else None
         known = kept_or_none(lambda path: cls.load(path, membrane), path)
         if known is not None:
             return known
@@ -125,6 +125,11 @@ class Surface(eqx.Module):
         if path is not None:
             surface.save(path)
         return surface
+
+    @classmethod
+    def path_of(cls, membrane: Membrane, tolerance: float):
+        """Where the cache keeps the surface of a membrane; None where it does not, see `archive.cached_path`."""
+        return cached_path("surfaces", _FORMAT, membrane, fingerprint(membrane), tolerance)
 
     @classmethod
     def of_elements(cls, membrane: Membrane, elements: list[Element], tolerance: float) -> "Surface":

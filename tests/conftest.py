@@ -7,6 +7,7 @@ import pathlib
 import hypothesis
 import jax
 import pytest
+from jax.experimental.compilation_cache import compilation_cache
 
 import dielectric_jax as dj
 
@@ -15,6 +16,25 @@ jax.config.update("jax_enable_x64", True)
 # drawn examples are the same in every run: a failure is a failure of the code
 hypothesis.settings.register_profile("gate", deadline=None, derandomize=True, max_examples=60, database=None)
 hypothesis.settings.load_profile("gate")
+
+
+@pytest.fixture(scope="session")
+def cache_folder(tmp_path_factory):
+    """A folder in which the sweeps of the tests, also in other processes, keep surfaces and programs."""
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture(scope="module")
+def kept_surfaces(cache_folder):
+    """Surfaces and programs are kept while a module's tests run."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("DIELECTRIC_JAX_CACHE", str(cache_folder))
+        dj.enable_compilation_cache()
+        yield cache_folder
+        patch.setenv("DIELECTRIC_JAX_CACHE", "off")
+        dj.enable_compilation_cache()
+        jax.config.update("jax_compilation_cache_dir", None)
+        compilation_cache.reset_cache()
 
 
 @pytest.fixture(scope="session")

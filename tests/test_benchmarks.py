@@ -95,6 +95,20 @@ def test_a_small_sweep_is_right_and_measured(tmp_path):
     assert record["gigabytes"] > 0
 
 
+def test_labelled_sweeps_are_measured_and_right(tmp_path):
+    record, said = quick("sweep_throughput.py", tmp_path)
+    executors = [(r["engine"], r["executor"]) for r in record["records"] if r["name"].endswith("executors")]
+    assert ("surface", "in process") in executors and ("continuation", "processes") in executors, said
+    for r in record["records"]:
+        assert r["scenes_per_second"] > 0 and r["error"] < 1e-8 and r["decided"] > 200
+    assert [r["scenes"] for r in record["records"] if r["name"].endswith("sizes")] == [100, 1000]
+
+
+def test_a_killed_sweep_loses_nothing(tmp_path):
+    record, said = quick("sweep_faults.py", tmp_path)
+    assert record["kills"] == 3 and record["stores_finished"] >= 1 and record["wrong"] == [], said
+
+
 def test_a_surface_is_as_exact_as_it_says(tmp_path):
     record, said = quick("surface_error.py", tmp_path)
     assert record["states"] == 200 and record["not_sharp"] < 100, said

@@ -95,7 +95,13 @@ BAD = [
     ([*CHAMBER, "--control", "current"], "--control", "voltage or charge"),
     ([*CHAMBER, "--control", "charge", "--engine", "surface"], "--engine", "continuation with --control charge"),
     ([*CHAMBER, "--engine", "magic"], "--engine", "continuation"),
-    (["draw"], "COMMAND", "equilibrium, pressure-volume, voltage-volume or paper, but is 'draw'"),
+    (["sweep"], "SPEC.toml, --output", "must be given"),
+    (["sweep", "s.toml", "--output", "/no/folder/s.zarr"], "--output", "folder that exists"),
+    (["sweep", "s.toml", "--output", "s.zarr", "--workers", "0"], "--workers", "from 1 to 10000, but is '0'"),
+    (["sweep", "s.toml", "--output", "s.zarr", "--workers", "2", "--scheduler", "a"], "--scheduler", "with --workers"),
+    (["sweep", "s.toml", "--output", "s.zarr", "--accept-versions"], "--accept-versions", "--resume"),
+    (["sweep", "s.toml", "--output", "s.zarr", "--export", "s.txt"], "--export", ".nc or .csv"),
+    (["draw"], "COMMAND", "equilibrium, pressure-volume, voltage-volume, paper or sweep, but is 'draw'"),
     ([], "COMMAND", "must be given"),
 ]
 
@@ -108,6 +114,7 @@ def test_bad_input_is_one_sentence(capsys, argv, option, allowed):
 
 
 FROM_THE_LIBRARY = [
+    (["sweep", "/no/file.toml", "--output", "s.zarr"], "SPEC.toml", "/no/file.toml"),
     (["equilibrium", "--volume", "500"], "--volume", "500"),
     (["equilibrium", "--volume", "1", "--prestretch", "12"], "--prestretch", "11.6"),
     (["equilibrium", "--apex-stretch", "0.5"], "--apex-stretch", "0.5"),

@@ -7,6 +7,7 @@ import pytest
 
 ROOMS = [
     "cache",
+    "locks",
     "kept",
     "results",
     "units",
@@ -62,6 +63,14 @@ ROOMS = [
     "paper_figures",
     "paper_statements",
     "paper",
+    "axes",
+    "columns",
+    "workers",
+    "store",
+    "executors",
+    "sweeps",
+    "specification",
+    "reading",
     "arguments",
     "cli",
 ]

@@ -1,0 +1,40 @@
+"""The Python in the pages of the documentation runs, each page from top to bottom."""
+
+import pathlib
+import re
+
+import matplotlib
+import pytest
+
+DOCS = pathlib.Path(__file__).parent.parent / "docs"
+BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
+PAGES = [page for page in sorted(DOCS.rglob("*.md")) if BLOCK.search(page.read_text(encoding="utf-8"))]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(DOCS)) for page in PAGES])
+def test_the_blocks_of_a_page_run(page, kept_surfaces, monkeypatch, tmp_path):
+    matplotlib.use("Agg")
+    monkeypatch.chdir(tmp_path)
+    names: dict = {"__name__": "page"}
+    text = page.read_text(encoding="utf-8")
+    blocks = list(BLOCK.finditer(text))
+    for block in blocks:
+        line = text.count("\n", 0, block.start(1))
+        exec(compile("\n" * line + block[1], str(page), "exec"), names)  # errors name the line of the page
+    CHECKS.get(page.name, lambda names: None)(names)
+    matplotlib.pyplot.close("all")
+
+
+def sweeps_page(names):
+    """What the page says of its own examples."""
+    assert names["data"].sizes == names["data"].sizes | {"chamber_volume": 40, "initial_volume": 3}
+    assert abs(float(names["small"].area_strain[1]) - 16.1218889) < 1e-7
+    assert names["opened"].attrs["blocks_done"] == names["opened"].attrs["blocks"]
+    assert names["stored"].area_strain.values.tobytes() == names["large"].area_strain.values.tobytes()
+    best = names["best"]
+    assert best.sizes["scene"] == 5 and (best.landing_ratio[:, 0] <= 0.8).all()
+    assert (names["returning"].regime == 8).all()
+    assert names["told"]["snap_voltage"]["beyond_errors"] == 0 and names["told"]["snap_voltage"]["differing"] > 0
+
+
+CHECKS = {"sweeps.md": sweeps_page}

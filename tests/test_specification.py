@@ -1,0 +1,97 @@
+"""Files of TOML that say what to sweep: what they mean, and what is refused."""
+
+import pathlib
+
+import numpy as np
+import pytest
+
+import dielectric_jax as dj
+
+EXAMPLE = pathlib.Path(__file__).parent.parent / "docs" / "example_sweep.toml"
+
+
+def test_the_example_means_what_it_says():
+    scene, axes, options = dj.read_specification(EXAMPLE)
+    assert options == {"engine": "surface", "resolve": False, "curves": False}
+    assert [axis.dimension for axis in axes] == ["prestretch", "filling"]
+    assert axes[0].columns["prestretch"].tolist() == [1.0, 1.5, 2.0]
+    chambers, fillings = axes[1].columns["chamber_volume"], axes[1].columns["initial_volume"]
+    assert 10 <= chambers.min() < 10.1 and 24000 < chambers.max() <= 25000
+    assert abs(np.log(chambers).mean() - np.log(500)) < 0.01 and abs(fillings.mean() - 1.455) < 0.001
+    assert float(scene.loading.atmospheric_pressure) == 50 and float(scene.membrane.material.stretch_limit) == 270
+
+
+def test_a_described_scene_comes_back():
+    scene = dj.Scene(
+        dj.Membrane(dj.ArrudaBoyce(60.0), 1.5, dj.ConstantBreakdown(3.0)),
+        dj.Chamber(volume=900.0, initial_pressure=1.2, atmospheric_pressure=20.0, polytropic_exponent=1.4),
+    )
+    assert dj.describe(dj.scene_of(dj.describe(scene))) == dj.describe(scene)
+    held = dj.Scene(dj.Membrane(dj.NeoHookean()), dj.ConstantPressure(1.5))
+    assert dj.describe(dj.scene_of(dj.describe(held))) == dj.describe(held)
+
+
+def test_every_kind_of_axis(tmp_path, kept_surfaces):
+    (tmp_path / "scenes.csv").write_text("breakdown_field_scale\n0.9\n1.0\n")
+    spec = tmp_path / "spec.toml"
+    spec.write_text(
+        """
+        tolerance = 1e-6
+        [scene]
+        pressure = 1.0
+        [product]
+        prestretch = [1, 2]
+        [zip.case]
+        stretch_limit = [100.0, 270.0]
+        [samples.draw]
+        count = 3
+        method = "random"
+        pressure = { distribution = "triangular", from = 1, to = 2, mode = 1.5 }
+        [table.scene]
+        file = "scenes.csv"
+        """
+    )
+    _, axes, options = dj.read_specification(spec)
+    assert [(a.dimension, a.size) for a in axes] == [("prestretch", 2), ("case", 2), ("draw", 3), ("scene", 2)]
+    assert options == {"tolerance": 1e-6}
+    data = dj.sweep(dj.scene_of({"pressure": 1.0}), prestretch=[1.0], pressure=[0.0], progress=False)
+    # a flat film that is not stretched carries no tension: no surface holds it
+    assert data.outcome.item() == dj.Answer.unresolved
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[scene", "`SPEC` must hold TOML"),
+        ("speed = 3", "`speed`"),
+        ("block = 2.5", "`block`"),
+        ("curves = 1", "`curves`"),
+        ("[scene]\nmaterial = 'rubber'", "`material` must be one of gent"),
+        ("[scene]\nchamber_size = 3", "`chamber_size` in [scene]"),
+        ("[scene]\nchamber_volume = 'big'", "`chamber_volume` in [scene] must be a number"),
+        ("[scene]\nprestretch = 1.5", "`pressure` or `chamber_volume`"),
+        ("[scene]\npressure = 1.0\ninitial_volume = 2.0", "without the parameters of a chamber"),
+        ("[scene]\nmaterial = 'neo-hookean'\nstretch_limit = 3\npressure = 1.0", "`material`"),
+        ("[scene]\npressure = 1.0\n[product]\nprestretch = {from = 1, to = 2}", "`count`"),
+        (
+            "[scene]\npressure = 1.0\n[product]\nprestretch = {from = 1, to = 2, count = 3, spacing = 'odd'}",
+            "`spacing`",
+        ),
+        ("[scene]\npressure = 1.0\n[product]\nprestretch = {from = 0, to = 2, count = 3, spacing = 'log'}", "`from`"),
+        ("[scene]\npressure = 1.0\n[samples.a]\nprestretch = {from = 1, to = 2}", "`count`"),
+        ("[scene]\npressure = 1.0\n[samples.a]\ncount = 2\nprestretch = {from = 2, to = 1}", "uniform distribution"),
+        ("[scene]\npressure = 1.0\n[samples.a]\ncount = 2\nprestretch = {distribution = 'odd'}", "`distribution`"),
+        (
+            "[scene]\npressure = 1.0\n[samples.a]\ncount = 2\nprestretch = {distribution = 'normal', mean = 2}",
+            "`standard_deviation`",
+        ),
+        ("[scene]\npressure = 1.0\n[table.a]\nfile = 'none.csv'", "none.csv"),
+        ("[scene]\npressure = 1.0\n[product]\nprestretch = 2", "`prestretch` must be a table"),
+    ],
+)
+def test_what_is_wrong_is_named(tmp_path, text, said):
+    spec = tmp_path / "spec.toml"
+    spec.write_text(text)
+    with pytest.raises(ValueError) as error:
+        dj.read_specification(spec)
+    assert said in str(error.value)

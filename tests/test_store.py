@@ -1,0 +1,220 @@
+"""Stores survive what happens to their writers: kills in the middle of writes, full disks, damage, second writers.
+
+The truth is a run that nobody disturbed, bit for bit; `benchmarks/sweep_faults.py` strikes many more times.
+"""
+
+import pathlib
+import signal
+import subprocess
+import sys
+import warnings
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import dielectric_jax as dj
+from dielectric_jax.locks import alone
+from dielectric_jax.results import StoreError
+
+BENCHMARKS = pathlib.Path(__file__).parent.parent / "benchmarks"
+SPECIFICATION = """
+block = 8
+[scene]
+initial_volume = 2.42
+[product]
+chamber_volume = { from = 600.0, to = 25000.0, count = 32, spacing = "log" }
+"""
+SCENE = dj.Scene(dj.Membrane(), dj.Chamber(volume=1600.0, initial_volume=2.42))
+
+
+@pytest.fixture(scope="module")
+def faults():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(BENCHMARKS)
+        yield __import__("sweep_faults")
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory, kept_surfaces, faults):
+    """A specification, and the store that a run of its own process makes of it."""
+    folder = tmp_path_factory.mktemp("sweep")
+    spec = folder / "spec.toml"
+    spec.write_text(SPECIFICATION)
+    process = faults.start(folder / "whole.zarr", spec, "--json", "-")
+    out, err = process.communicate()
+    assert process.returncode == 0 and '"scenes": 32' in out and err == ""
+    return spec, folder / "whole.zarr"
+
+
+def sweep_again(store, **options):
+    """The sweep of the specification, in this process."""
+    _, axes, given = dj.read_specification(store.parent / "spec.toml")
+    return dj.sweep(SCENE, *axes, **given, output=store, **options)
+
+
+def copied(undisturbed, tmp_path):
+    import shutil
+
+    spec, whole = undisturbed
+    shutil.copy(spec, tmp_path / "spec.toml")
+    shutil.copytree(whole, tmp_path / "s.zarr")
+    return tmp_path / "s.zarr"
+
+
+def assert_same(faults, store, whole):
+    found, known = faults.contents(store), faults.contents(whole)
+    assert set(found) == set(known) and known["block_done"].all()
+    assert [name for name in known if not faults.same(found[name], known[name])] == []
+
+
+def test_killed_in_the_middle_of_writes_nothing_is_lost(undisturbed, tmp_path, faults):
+    """Killed while the store is made and while blocks are written; two workers end what one process began."""
+    spec, whole = undisturbed
+    store = tmp_path / "s.zarr"
+    names = len(faults.contents(whole))
+    before = None
+    kept = []
+    for at in (20, 5 * names // 2, names + 3):
+        process = faults.start(store, spec, "--resume", at=at)
+        assert (process.communicate() and process.returncode) == -signal.SIGKILL
+        found = faults.contents(store)
+        faults.CHUNK = (8,)
+        assert faults.lost(found, faults.contents(whole), before) == []
+        before = found.get("block_done")
+        kept.append(0 if before is None else int(before.sum()))
+    assert kept[0] == 0 and 0 < kept[2] < 4
+    process = faults.start(store, spec, "--resume", "--workers", "2")
+    assert process.communicate() and process.returncode == 0
+    assert_same(faults, store, whole)
+    assert not list(store.rglob("*.partial"))
+
+
+def test_a_full_disk_leaves_a_store_to_resume(undisturbed, tmp_path, faults, monkeypatch):
+    import zarr.storage._local as local
+
+    whole = undisturbed[1]
+    store = copied(undisturbed, tmp_path)
+    put, counts = local._put, iter(range(10**9))
+
+    def full(path, *args, **options):
+        if next(counts) == 30:
+            raise OSError(28, "No space left on device")
+        return put(path, *args, **options)
+
+    import zarr
+
+    done = zarr.open_group(str(store), mode="r+", use_consolidated=False)["block_done"]
+    done[:] = False
+    done[1] = True
+    with monkeypatch.context() as patch:
+        patch.setattr(local, "_put", full)
+        with pytest.raises(StoreError, match="No space left on device; what is finished is kept"):
+            sweep_again(store, resume=True)
+    assert bool(done[1]) and not np.asarray(done[:]).all()
+    sweep_again(store, resume=True)
+    assert_same(faults, store, whole)
+
+
+def test_damage_is_noticed_and_mended(undisturbed, tmp_path, faults, capfd):
+    """A chunk cut short, one with a wrong bit, and one that is gone."""
+    whole = undisturbed[1]
+    store = copied(undisturbed, tmp_path)
+    torn, wrong, gone = (store / f"snap_voltage/c/{i}/0" for i in (0, 2, 3))
+    torn.write_bytes(torn.read_bytes()[:-9])
+    data = bytearray(wrong.read_bytes())
+    data[len(data) // 2] ^= 1
+    wrong.write_bytes(bytes(data))
+    gone.unlink()
+    sweep_again(store, resume=True)
+    said = capfd.readouterr().err
+    assert [n for n in range(4) if f"Block {n} of" in said] == [0, 2, 3]
+    assert_same(faults, store, whole)
+
+
+def test_a_second_writer_is_refused(undisturbed, tmp_path):
+    store = copied(undisturbed, tmp_path)
+    other = "import sys; from dielectric_jax.locks import alone\nwith alone(sys.argv[1]): print(1, flush=True); input()"
+    with subprocess.Popen(
+        [sys.executable, "-c", other, str(store)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout.readline() == "1\n"
+        with pytest.raises(StoreError, match="is being written by another process"):
+            sweep_again(store, resume=True)
+        process.kill()
+    with alone(store, wait=False):  # the lock of a killed process is free
+        pass
+    # reading is free
+    assert dj.open_sweep(store).attrs["blocks_done"] == 4
+
+
+def test_another_sweep_or_version_is_refused(undisturbed, tmp_path):
+    import json
+
+    import zarr
+
+    store = copied(undisturbed, tmp_path)
+    with pytest.raises(StoreError, match="is there already"):
+        sweep_again(store)
+    with pytest.raises(StoreError, match="another sweep: `axes`"):
+        dj.sweep(SCENE, chamber_volume=[1.0], output=store, resume=True)
+    _, axes, _ = dj.read_specification(tmp_path / "spec.toml")
+    with pytest.raises(StoreError, match="another sweep: `scene`"):
+        dj.sweep(SCENE.replace(initial_volume=2.0), *axes, output=store, resume=True)
+    with pytest.raises(StoreError, match="another sweep: `engine`"):
+        dj.sweep(SCENE, *axes, engine="continuation", output=store, resume=True)
+    group = zarr.open_group(str(store), mode="r+", use_consolidated=False)
+    group.attrs["versions"] = json.dumps(json.loads(group.attrs["versions"]) | {"jax": "0.1"})
+    with pytest.raises(StoreError, match=r"other versions \(jax 0.1 is now"):
+        sweep_again(store, resume=True)
+    data = sweep_again(store, resume=True, accept_versions=True)
+    assert data.attrs["history"].count("sweep with dielectric_jax") == 2
+
+
+def test_no_store_is_refused_in_words(tmp_path):
+    with pytest.raises(ValueError, match="`path` must hold the store of a sweep"):
+        dj.open_sweep(tmp_path)
+    (tmp_path / "file").write_text("no store")
+    with pytest.raises(ValueError, match="`path` must hold the store of a sweep"):
+        dj.open_sweep(tmp_path / "file")
+
+
+def test_the_store_opens_without_this_package(undisturbed):
+    """In a process that never imports it, by xarray alone; the numbers are the references'."""
+    code = (
+        "import sys, xarray; d = xarray.open_zarr(sys.argv[1], chunks=None); one = d.sel(chamber_volume=600.0)\n"
+        "flags = dict(zip(d.regime.flag_values, d.regime.flag_meanings.split()))\n"
+        "print(d.sizes['chamber_volume'], flags[int(one.regime)], d.snap_voltage.long_name, bool(d.block_done.all()))\n"
+        "assert 'dielectric_jax' not in sys.modules and 'jax' not in sys.modules"
+    )
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code, str(undisturbed[1])], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("32 returns voltage of the state at the fold") and done.stdout.endswith("True\n")
+
+
+def test_what_is_read_is_what_memory_would_hold(undisturbed, tmp_path):
+    """Also of an unfinished store, whose other scenes are not computed."""
+    _, axes, given = dj.read_specification(undisturbed[0])
+    memory = dj.sweep(SCENE, *axes, **given)
+    stored = dj.open_sweep(undisturbed[1])
+    for name in memory.variables:
+        xr.testing.assert_identical(memory[name], stored[name].load())
+    import zarr
+
+    store = copied(undisturbed, tmp_path)
+    import shutil
+
+    group = zarr.open_group(str(store), mode="r+", use_consolidated=False)
+    group["block_done"][2] = False
+    for name, array in group.arrays():
+        if array.shape[:1] == (32,) and name not in memory.coords:
+            shutil.rmtree(store / name / "c/2") if array.ndim > 1 else (store / name / "c/2").unlink(missing_ok=True)
+    data = dj.open_sweep(store)
+    assert data.attrs["blocks_done"] == 3
+    assert (data.outcome[16:24] == -1).all() and data.breakdown_voltage[16:24].isnull().all()
+    assert (data.outcome[:16] >= 0).all()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert dj.open_sweep(store, chunks={}).breakdown_voltage.chunks is not None
