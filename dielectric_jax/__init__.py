@@ -42,6 +42,15 @@ _ROOMS = {
         "snap_point",
         "snap_voltage",
     ),
+    "turning_points": (
+        "bistability_onset",
+        "bistability_point",
+        "cusp",
+        "pressure_cusp",
+        "pressure_peak",
+        "pressure_valley",
+        "zero_voltage_point",
+    ),
     "cache": ("enable_compilation_cache",),
 }
 _HOME = {name: room for room, names in _ROOMS.items() for name in names}
@@ -86,6 +95,15 @@ if typing.TYPE_CHECKING:
     from .shooting import shoot
     from .states import equilibrium
     from .surface import SheetState, Surface
+    from .turning_points import (
+        bistability_onset,
+        bistability_point,
+        cusp,
+        pressure_cusp,
+        pressure_peak,
+        pressure_valley,
+        zero_voltage_point,
+    )
 
 
 def __getattr__(name: str):

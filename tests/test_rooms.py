@@ -23,6 +23,7 @@ ROOMS = [
     "sheet",
     "archive",
     "surface",
+    "engines",
     "points",
     "trajectories",
     "family",
@@ -47,7 +48,9 @@ ROOMS = [
     "plotting",
     "diagram",
     "searches",
+    "load_lines",
     "critical_points",
+    "turning_points",
     "arguments",
     "cli",
 ]
