@@ -47,6 +47,7 @@ ROOMS = [
     "drawing",
     "plotting",
     "diagram",
+    "leaves",
     "searches",
     "load_lines",
     "critical_points",
