@@ -67,6 +67,15 @@ _ROOMS = {
     "sweeps": ("open_sweep", "sweep"),
     "specification": ("read_specification", "scene_of"),
     "reading": ("best_designs", "compare_sweeps", "count_sweep", "export_sweep", "plot_sweep", "select_regime"),
+    "turning_points": (
+        "bistability_onset",
+        "bistability_point",
+        "cusp",
+        "pressure_cusp",
+        "pressure_peak",
+        "pressure_valley",
+        "zero_voltage_point",
+    ),
     "cache": ("enable_compilation_cache",),
 }
 _HOME = {name: room for room, names in _ROOMS.items() for name in names}
@@ -135,6 +144,15 @@ if typing.TYPE_CHECKING:
     from .states import equilibrium
     from .surface import SheetState, Surface
     from .sweeps import open_sweep, sweep
+    from .turning_points import (
+        bistability_onset,
+        bistability_point,
+        cusp,
+        pressure_cusp,
+        pressure_peak,
+        pressure_valley,
+        zero_voltage_point,
+    )
     from .units import VHB_4910, Units
 
 
