@@ -44,6 +44,11 @@ _ROOMS = {
         "snap_point",
         "snap_voltage",
     ),
+    "regimes": ("Regime", "regime_of"),
+    "designs": ("Designs", "classify_designs"),
+    "regime_maps": ("Boundary", "RegimeEdge", "RegimeMap", "regime_edges", "regime_map"),
+    "regime_plots": ("plot_regime_map",),
+    "design": ("Design", "maximise_area_strain"),
     "cache": ("enable_compilation_cache",),
 }
 _HOME = {name: room for room, names in _ROOMS.items() for name in names}
@@ -66,6 +71,8 @@ if typing.TYPE_CHECKING:
         snap_point,
         snap_voltage,
     )
+    from .design import Design, maximise_area_strain
+    from .designs import Designs, classify_designs
     from .diagram import Diagram, pressure_volume, voltage_volume
     from .ensemble import Curves, Outcome, Point, Ramps, chamber_curves, chamber_ramps, pressure_ramps
     from .family import SurfaceFamily
@@ -83,6 +90,9 @@ if typing.TYPE_CHECKING:
     from .membrane import Membrane, Profile, vhb_4910
     from .profiles import energy, profile, scaling_defect
     from .records import Branch, Event, Ramp, SpecialPoint, State
+    from .regime_maps import Boundary, RegimeEdge, RegimeMap, regime_edges, regime_map
+    from .regime_plots import plot_regime_map
+    from .regimes import Regime, regime_of
     from .results import Code, SceneError
     from .scene import PARAMETERS, Scene, Window, describe
     from .shooting import shoot

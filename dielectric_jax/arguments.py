@@ -184,6 +184,12 @@ def _parser() -> _Parser:
     scene.add_argument(
         "--engine", choices=["continuation", "surface"], default="continuation", help="how it is computed"
     )
+
+    for name, what in (("regimes", "a map of two parameters"), ("optimise", "the design of largest area strain")):
+        asked = commands.add_parser(name, help=what, description=_DESCRIPTION)
+        asked.add_argument("specification", metavar="SPEC.toml", help="scene, ranges and wishes")
+        asked.add_argument("--json", metavar="FILE|-", help="write JSON to a file, or to standard output with -")
+        asked.add_argument("--figure", metavar="FILE", help=f"draw a figure ({', '.join(_FIGURE_SUFFIXES)})")
     return parser
 
 
@@ -198,6 +204,9 @@ def _version() -> str:
 
 def _check(args: argparse.Namespace) -> None:
     """Refuses what each option allows alone but not with the others."""
+    _check_files(args)
+    if args.command in ("regimes", "optimise"):
+        return
     own = MATERIAL_CONSTANT[args.material]
     for name in ("stretch_limit", "chain_links"):
         if getattr(args, name) is not None and name != own:
@@ -222,6 +231,10 @@ def _check(args: argparse.Namespace) -> None:
             )
     if args.command == "equilibrium" and args.points is not None and args.figure is None:
         raise BadInput("--points must be given with --figure only for equilibrium, because a state has no branch.")
+
+
+def _check_files(args: argparse.Namespace) -> None:
+    """Refuses files that cannot be written."""
     if args.json is not None and args.json != "-":
         _check_file("--json", args.json)
     if args.figure is not None:
@@ -248,6 +261,7 @@ def option_names(message: str, args: argparse.Namespace) -> str:
         "load_fraction": "--load-window",
         "field": "--breakdown",
         "constant_field": "--breakdown",
+        "SPEC": "SPEC.toml",
         "volume": "--chamber-volume" if args.command == "voltage-volume" else "--volume",
     }
     if getattr(args, "apex_stretch", None) is None:
@@ -260,7 +274,7 @@ def option_names(message: str, args: argparse.Namespace) -> str:
         return _option(name) if hasattr(args, name) else found[0]
 
     said = re.sub(r"`(\w+)`", option, " ".join(message.split()))
-    if args.si and re.search(r"\d", said):
+    if getattr(args, "si", False) and re.search(r"\d", said):
         said += (
             " (These numbers are dimensionless: lengths in A, pressures in μH/A, volumes in A³, voltages in H√(μ/ε).)"
         )

@@ -154,7 +154,31 @@ def _run_voltage_volume(dj: Any, args: argparse.Namespace) -> tuple[dict, Callab
     return diagram.to_json(), draw
 
 
+def _run_regimes(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
+    from .design_files import read_design_file
+
+    scene, over, options = read_design_file(args.specification, "regimes")
+    _say("regimes …")
+    found = dj.regime_map(scene, over, **options)
+    return found.to_json(), lambda: found.plot().figure
+
+
+def _run_optimise(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
+    from .design_files import read_design_file
+
+    scene, over, options = read_design_file(args.specification, "optimise")
+    _say("design …")
+    found = dj.maximise_area_strain(scene, over, **options)
+
+    def draw() -> Any:
+        return (found.diagram or dj.voltage_volume(found.scene)).plot()
+
+    return found.to_json(), draw
+
+
 _COMMANDS = {
+    "regimes": _run_regimes,
+    "optimise": _run_optimise,
     "equilibrium": _run_equilibrium,
     "pressure-volume": _run_pressure_volume,
     "voltage-volume": _run_voltage_volume,
@@ -190,6 +214,10 @@ def _summary(document: dict) -> str:
         if v is not None
     )
     lines = [f"scene: {scene} ({document['units']})"]
+    if "boundaries" in document:
+        return "\n".join([*lines, *_map_lines(document)])
+    if "multipliers" in document:
+        return "\n".join([*lines, *_design_lines(document)])
     if "states" in document:
         return "\n".join([*lines, *_state_lines("states", document["states"], (), units)])
     complete = "yes" if document["complete"] else "no, scan and engine disagree"
@@ -203,6 +231,25 @@ def _summary(document: dict) -> str:
     if document["area_strain_reason"] is not None:
         lines += ["", f"area strain: {_number_text(document['area_strain'])} ({document['area_strain_reason']})"]
     return "\n".join(lines)
+
+
+def _map_lines(document: dict) -> list[str]:
+    every = [code for row in document["regimes"] for code in row]
+    shares = [[name, every.count(int(code)) / len(every)] for code, name in document["names"].items()]
+    rows = [
+        [" | ".join(b["regimes"]), b["kind"] or "bisection", len(b[document["over"][0]])]
+        + [_range(b[name]) for name in document["over"]]
+        for b in document["boundaries"]
+    ]
+    header = ["boundary", "kind", "points", *document["over"]]
+    return ["", _table(["regime", "share"], [r for r in shares if r[1]]), "", _table(header, rows)]
+
+
+def _design_lines(document: dict) -> list[str]:
+    rows = [[n, v, n in document["active"], document["multipliers"].get(n)] for n, v in document["slack"].items()]
+    lines = ["", *(f"{n}: {_number_text(v)}" for n, v in document["parameters"].items())]
+    lines += [f"area strain: {_number_text(document['area_strain'])} ({document['regime']})"]
+    return [*lines, "", _table(["constraint", "left", "active", "multiplier"], rows)]
 
 
 def _unit_of(name: str, units: dict[str, str]) -> str:
@@ -268,10 +315,10 @@ def _answer(args: argparse.Namespace) -> None:
     import dielectric_jax as dj
 
     dj.enable_compilation_cache()
-    if args.points is None:
+    if getattr(args, "points", 0) is None:
         args.points = 256
     try:
-        args.units = _units(dj, args)
+        args.units = _units(dj, args) if hasattr(args, "si") else None
         document, draw = _COMMANDS[args.command](dj, args)
     except ValueError as error:
         raise BadInput(option_names(str(error), args)) from error
