@@ -18,7 +18,7 @@ from .scene import Scene
 from .sheet_conditions import solve_on_sheet
 from .surface import Surface
 
-__all__ = ["FOLD_BREAKS", "LANDING_BREAKS", "MERGING", "REST", "START", "guesses", "kind_between", "meet"]
+__all__ = ["FOLD_BREAKS", "LANDING_BREAKS", "MERGING", "REST", "START", "completed", "guesses", "kind_between", "meet"]
 
 START, MERGING, FOLD_BREAKS, LANDING_BREAKS, REST = (
     "start unstable",
@@ -68,6 +68,19 @@ def guesses(kind: str, designs: Designs, which: np.ndarray) -> np.ndarray:
     return np.stack([start, folds[:, 0], at[:, 0]], axis=1)
 
 
+def completed(guess: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Guesses, those that are missing from the nearest design that has one."""
+    there = np.isfinite(guess).all(axis=1)
+    if there.all() or not there.any():
+        return guess
+    scaled = places / np.abs(places).max(axis=0)
+    missing = np.flatnonzero(~there)
+    distance = np.abs(scaled[missing][:, None] - scaled[there][None]).max(axis=2)
+    guess = guess.copy()
+    guess[missing] = guess[there][np.argmin(distance, axis=1)]
+    return guess
+
+
 def _start(on, u):
     return [on.filled, on.slope(0, u[0], 0.0)], []
 
@@ -102,10 +115,12 @@ _EQUATIONS = {
 }
 
 
-def meet(kind: str, surface: Surface, scene: Scene, names: tuple, begin, end, guess) -> tuple[np.ndarray, np.ndarray]:
+def meet(
+    kind: str, surface: Surface, scene: Scene, names: tuple, begin, end, guess, beyond
+) -> tuple[np.ndarray, np.ndarray]:
     """Where between designs `begin` and `end` (n, parameters) a boundary of a kind lies: s (n,), NaN where it is not met.
 
-    Also the size of Newton's last move, a measure of the error of s.
+    s lies in 0 … 1, or up to `beyond` (n,) outside. Also the size of Newton's last move, a measure of the error of s.
     """
     share, error = np.full(len(begin), np.nan), np.full(len(begin), np.nan)
     todo = np.flatnonzero(np.isfinite(guess).all(axis=1))
@@ -115,10 +130,10 @@ def meet(kind: str, surface: Surface, scene: Scene, names: tuple, begin, end, gu
         found = solve_on_sheet(equations, points, surface, scene, names, halfway, begin[todo], end[todo], lanes=_LANES)
         place = found.unknowns[:, -1]
         with np.errstate(invalid="ignore"):
-            good = (found.size < 1e-8) & (np.abs(place - 0.5) <= 0.5 + 1e-6)
+            good = (found.size < 1e-8) & (np.abs(place - 0.5) <= 0.5 + 1e-6 + beyond[todo])
         share[todo] = np.where(good, place, np.nan)
         error[todo] = found.size
-    return np.clip(share, 0.0, 1.0), np.where(np.isfinite(share), error, np.nan)
+    return share, np.where(np.isfinite(share), error, np.nan)
 
 
 def snaps(regime: np.ndarray) -> np.ndarray:

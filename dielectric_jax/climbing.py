@@ -147,6 +147,11 @@ class Climb:
             self.known.append((z, [f.unknowns[0] for f in found], found))
         return found
 
+    def unknowns(self, z) -> list[np.ndarray]:
+        """The unknowns of every scenario at a design that `at` has met."""
+        z = np.array(z, float)
+        return next(u for place, u, _ in self.known if np.array_equal(place, z))
+
     def rows(self, z):
         """Growth (scenarios,) and its derivatives by z, and of every constraint: name, scenario, value ≥ 0, derivative."""
         found = self.at(z)

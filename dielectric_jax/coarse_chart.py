@@ -9,6 +9,7 @@ import functools
 
 import contourpy
 import numpy as np
+from scipy.interpolate import RectBivariateSpline
 
 from .batch import ByLeaves
 from .chart import map_nodes
@@ -19,6 +20,7 @@ from .regimes import Regime
 __all__ = ["CoarseChart", "coarse_chart"]
 
 _ROWS, _LOADS = 260, 90  # nodes of the coarse chart
+_LINE = 1500  # places along a given load at which landings are sought
 _TOP = 0.995  # its largest load fraction
 _STEPS = 128.0
 _BESIDE = 0.2  # of the stretch at a fold: nearer to it no landing is read from the coarse chart
@@ -36,6 +38,7 @@ class CoarseChart:
     pressure: np.ndarray
     volume: np.ndarray
     breaks: np.ndarray
+    splines: tuple
 
     def regime(self, given: dict, snap=None) -> Regime:
         """The regime of one loading by its contours on the grid, or only what follows a known `snap` (λa, q)."""
@@ -55,7 +58,7 @@ class CoarseChart:
             return Regime.undetermined
         excess = self.pressure - gas(self.volume)
         if snap is not None:
-            return self._after_snap(excess, *snap)[0]
+            return self._after_snap(gas, *snap)[0]
         lines = _Lines(self, excess)
         here = lines.nearest(start[0], 0.0)
         if here is None:
@@ -72,7 +75,7 @@ class CoarseChart:
             if kind != "snap":
                 return Regime.undetermined
             first = False
-            end, landing = self._after_snap(excess, apex, q)
+            end, landing = self._after_snap(gas, apex, q)
             if landing is None:
                 return end
             here = lines.nearest(float(landing), q)
@@ -91,27 +94,32 @@ class CoarseChart:
         share = (wanted - values[i - 1]) / (values[i] - values[i - 1])
         return tuple(float(v[i - 1] + share * (v[i] - v[i - 1])) for v in (self.apex, self.pressure[:, j]))
 
-    def _after_snap(self, excess, apex: float, q: float):
+    def _read(self, apex, t) -> tuple[np.ndarray, np.ndarray]:
+        """p and V at places between the nodes."""
+        row = np.interp(apex, self.apex, np.arange(_ROWS))
+        column = np.interp(t, self.fraction, np.arange(_LOADS))
+        p, v = (spline.ev(row, column) for spline in self.splines)
+        return p, v
+
+    def _after_snap(self, gas, apex: float, q: float):
         """What becomes of a snap from (λa, q): its regime, and the λa of an unbroken landing else None.
 
         At a given q the membrane grows while its pressure lacks behind the gas: it lands where that ends.
         """
-        t = q / self.limit
-        j = np.clip(np.searchsorted(self.fraction, t) - 1, 0, len(self.fraction) - 2)
-        low, high = self.fraction[j], self.fraction[j + 1]
-        rows = np.arange(len(self.apex))
-        value = excess[rows, j] + (t - low) / (high - low) * (excess[rows, j + 1] - excess[rows, j])
-        value = np.where(t <= self.fraction[-1], value, np.nan)
-        # beside the cone, t = 1, states are unstable: a change of sign across what the chart leaves out is no landing
-        # and beside the fold, where the excess touches zero, its sign is noise
+        # beside the fold, where the excess touches zero, its sign is noise
         beyond = apex + _BESIDE * (apex - float(self.membrane.prestretch))
+        line = np.linspace(beyond, self.apex[-1], _LINE)
+        t = q / np.asarray(self.membrane.largest_load(line))
+        pressure, volume = self._read(line, t)
+        value = np.where(t <= self.fraction[-1], pressure - gas(volume), np.nan)
+        # beside the cone, t = 1, states are unstable: a change of sign across what the chart leaves out is no landing
         with np.errstate(invalid="ignore"):
-            lands = np.flatnonzero((self.apex[1:] > beyond) & (value[:-1] < 0) & (value[1:] >= 0)) + 1
+            lands = np.flatnonzero((value[:-1] < 0) & (value[1:] >= 0)) + 1
         if not len(lands):
             return Regime.no_landing, None
         i = lands[0]
         share = value[i - 1] / (value[i - 1] - value[i])
-        landing = self.apex[i - 1] + share * (self.apex[i] - self.apex[i - 1])
+        landing = line[i - 1] + share * (line[i] - line[i - 1])
         if q >= np.interp(landing, self.apex, self.breaks):
             return Regime.breaks_in_snap, None
         return Regime.undetermined, landing
@@ -133,7 +141,10 @@ def coarse_chart(key: ByLeaves) -> CoarseChart:
     p, v = (np.where(good, values, np.nan).reshape(grid[0].shape) for values in (p, v))
     limit = np.asarray(largest_load(membrane.material, apex))
     breaks = 1 / np.asarray(field_ratio_squared(membrane.breakdown, apex, apex))
-    return CoarseChart(membrane, apex, fraction, limit, p, v, breaks)
+    nodes = np.arange(_ROWS), np.arange(_LOADS)
+    whole = [np.where(np.isfinite(f), f, np.nan_to_num(np.nanmean(f, axis=0))) for f in (p, v)]
+    splines = tuple(RectBivariateSpline(*nodes, f) for f in whole)
+    return CoarseChart(membrane, apex, fraction, limit, p, v, breaks, splines)
 
 
 class _Lines:

@@ -122,7 +122,7 @@ def maximise_area_strain(
     for name in names:
         if PARAMETERS[name][:2] == ("membrane", "material"):
             raise ValueError(f"`{name}` must be held, because every value of it needs a surface of its own.")
-    scenes = scenarios_of(_operated(scene, operating_margin), axes, uncertain or {}, quantile, surface)
+    scenes = scenarios_of(scene, axes, uncertain or {}, quantile, surface, operating_margin)
     share = 0.0 if quantile is None else quantile
     counts = _SCAN.get(len(axes), (7,) * len(axes)) if len(scenes) == 1 else (max(5, 40 // len(axes) ** 2),) * len(axes)
     values = np.stack(
@@ -149,13 +149,6 @@ def maximise_area_strain(
     if best is None:
         raise ValueError("`over` must hold a design that fulfils the constraints, but none was found in these ranges.")
     return _answer(scene, best, evaluations, compare, check, share)
-
-
-def _operated(scene: Scene, margin: float) -> Scene:
-    """The scene whose breakdown field is the operating field."""
-    if margin == 0:
-        return scene
-    return scene.replace(breakdown_field_scale=float(scene.membrane.breakdown.scale) * (1 - margin))  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def _held(scenes, names, x, wishes, share) -> np.ndarray:
@@ -202,15 +195,17 @@ def _parts(mask: np.ndarray, counts) -> typing.Iterator[np.ndarray]:
 def _is_true(climb: Climb, z: np.ndarray, names: tuple) -> bool:
     """Whether the ramps of the design are of the shape that was climbed, by a search that knows nothing of it."""
     moved = np.clip(z + 10 * _INWARD * inwards(climb, z), 0.0, 1.0)
-    rows = climb.rows(moved)
-    if rows is None:
+    if climb.rows(moved) is None:
         return False
     for j in np.flatnonzero(climb.held):
         scenario = climb.scenes[j]
         given = dict(zip(names, (climb.place(moved)[0] * scenario.factors)[:, None], strict=True))
-        found = classify_designs(scenario.scene, given, surface=scenario.sheet, whole=False)
-        same = found.ramps.snaps[0] == climb.kind.snaps and found.ramps.outcome[0] == Outcome.breakdown_on_branch
-        if not (same and abs(np.log1p(found.ramps.area_strain[0]) - rows[0][j]) < 1e-6):
+        ramps = classify_designs(scenario.real, given, surface=scenario.sheet, whole=False).ramps
+        if ramps.snaps[0] != climb.kind.snaps or ramps.outcome[0] != Outcome.breakdown_on_branch:
+            return False
+        events = slice(1 + 3 * climb.kind.snaps)
+        mine, other = climb.unknowns(moved)[j][events], begin_of(climb.kind, ramps, np.array([0]))[0][events]
+        if not np.allclose(mine, other, rtol=1e-5, atol=0):
             return False
     return True
 

@@ -9,11 +9,13 @@ import typing
 
 import jax
 import numpy as np
+import scipy.ndimage
 
-from .boundaries import FOLD_BREAKS, LANDING_BREAKS, MERGING, REST, guesses, kind_between, meet, snaps
+from .boundaries import FOLD_BREAKS, LANDING_BREAKS, MERGING, REST, completed, guesses, kind_between, meet, snaps
 from .designs import Designs, classify_designs, surface_for
-from .ensemble import Ramps
+from .ensemble import Outcome, Ramps
 from .family import SurfaceFamily
+from .grid_lines import beside_change, chains, changes
 from .records import plain
 from .regimes import Regime
 from .results import check_positive
@@ -24,6 +26,8 @@ __all__ = ["Boundary", "RegimeEdge", "RegimeMap", "regime_edges", "regime_map"]
 
 _COARSE = 8  # grid cells between designs that are classified first
 _BISECTIONS = 20
+_ISLAND = 6  # designs
+_VAGUE = 3.0  # cells
 _DECADES = 1.2  # a range wider than this many decades is divided evenly in the logarithm
 #: parameters with another sheet of states at every value
 _SHEETS = ("prestretch", "stretch_limit", "chain_links")
@@ -174,7 +178,10 @@ def _edges(known: _Known, one: np.ndarray, other: np.ndarray):
         else:
             has = known.regime != Regime.start_unstable
         source = np.where(has[other[own]], other[own], one[own])
-        guess = guesses(kind, designs, source)
+        guess = completed(guesses(kind, designs, source), known.values[source])
+        # a side that the surface did not decide may be off by a little
+        vague = designs.ramps.outcome == Outcome.unresolved
+        beyond = np.where(vague[one[own]] | vague[other[own]], _VAGUE, 0.0)
         keys = [tuple(begin[k, varying]) for k in own]
         for key in dict.fromkeys(keys):
             group = np.array([i for i, k in enumerate(keys) if k == key])
@@ -182,7 +189,7 @@ def _edges(known: _Known, one: np.ndarray, other: np.ndarray):
             at = dict(zip(known.names, begin[some[0]], strict=True))
             surface = surface_for(known.scene.replace(**at).membrane, known.surface)
             share[some], error[some] = meet(
-                kind, surface, known.scene, known.names, begin[some], end[some], guess[group]
+                kind, surface, known.scene, known.names, begin[some], end[some], guess[group], beyond[group]
             )
     kinds[np.isnan(share)] = ""
     _bisect(known, one, other, share, error)
@@ -293,7 +300,7 @@ def regime_map(
         stride //= 2
         rows, columns = (ticks(n, c, stride) for n, c in zip(names[::-1], (len(y), len(x)), strict=True))
         for _ in range(12):  # on into cells that turn out to hold a change
-            near = _beside_change(whole, 2 * stride)[np.ix_(rows, columns)]
+            near = beside_change(whole, stride)[np.ix_(rows, columns)]
             near &= number[np.ix_(rows, columns)] < 0
             if not near.any():
                 break
@@ -302,16 +309,35 @@ def regime_map(
             known_here = number >= 0
             whole[known_here] = known.regime[number[known_here]]
     # both ends of every edge of the fine grid
-    a, b = _changes(whole)
-    classify(*np.concatenate([a, b]).T)
-    known_here = number >= 0
-    whole[known_here] = known.regime[number[known_here]]
-    a, b = _changes(whole)
+    for _ in range(2):
+        a, b = changes(whole)
+        classify(*np.concatenate([a, b]).T)
+        known_here = number >= 0
+        whole[known_here] = known.regime[number[known_here]]
+        _join_islands(known, number, whole)
+    a, b = changes(whole)
     classify(*np.concatenate([a, b]).T)
     count = len(known.regime)
     one, other = number[tuple(a.T)], number[tuple(b.T)]
     boundaries = _curves(known, whole, a, b, one, other, x, y) if len(a) else []
     return RegimeMap(scene, names, (x, y), whole, boundaries, count)
+
+
+def _join_islands(known: _Known, number, whole) -> None:
+    """Gives lone designs that no engine decides, in the sliver where two folds merge, the regime about them."""
+    unsure = np.zeros(whole.shape, bool)
+    there = number >= 0
+    outcome = np.concatenate([d.ramps.outcome for d in known.parts])
+    unsure[there] = outcome[number[there]] == Outcome.unresolved
+    for regime in np.unique(whole[unsure]):
+        labels, _ = typing.cast("tuple[np.ndarray, int]", scipy.ndimage.label(whole == regime))
+        sizes = np.bincount(labels.ravel())
+        for part in np.unique(labels[unsure & (whole == regime)]):
+            own = labels == part
+            if sizes[part] <= _ISLAND and unsure[own].all():
+                about = whole[scipy.ndimage.binary_dilation(own) & ~own]
+                whole[own] = np.bincount(about).argmax()
+                known.regime[number[own]] = whole[own]
 
 
 def _counts(names, points) -> tuple[int, int]:
@@ -333,32 +359,6 @@ def _filled(known: _Known, number, rows, columns) -> np.ndarray:
         for n, ticks in zip(number.shape, (rows, columns), strict=True)
     ]
     return known.regime[number[np.ix_(*nearest)]]
-
-
-def _beside_change(whole: np.ndarray, reach: int) -> np.ndarray:
-    """Designs within `reach` of a change of the regime, along both axes."""
-    change = np.zeros(whole.shape, bool)
-    across = whole[:, 1:] != whole[:, :-1]
-    along = whole[1:] != whole[:-1]
-    change[:, 1:] |= across
-    change[:, :-1] |= across
-    change[1:] |= along
-    change[:-1] |= along
-    for axis in (0, 1):
-        total = np.cumsum(np.pad(change, [(reach + 1, reach) if k == axis else (0, 0) for k in (0, 1)]), axis=axis)
-        width = 2 * reach + 1
-        lead, lag = (np.take(total, np.arange(start, start + whole.shape[axis]), axis=axis) for start in (width, 0))
-        change = lead > lag
-    return change
-
-
-def _changes(whole: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The ends (row, column) of all edges of the grid between two regimes: first those along rows."""
-    i, j = np.nonzero(whole[:, 1:] != whole[:, :-1])
-    k, m = np.nonzero(whole[1:] != whole[:-1])
-    one = np.stack([np.concatenate([i, k]), np.concatenate([j, m])], axis=1)
-    other = np.stack([np.concatenate([i, k + 1]), np.concatenate([j + 1, m])], axis=1)
-    return one, other
 
 
 def _curves(known: _Known, whole, a, b, one, other, x, y) -> list[Boundary]:
@@ -387,7 +387,7 @@ def _curves(known: _Known, whole, a, b, one, other, x, y) -> list[Boundary]:
                 links.setdefault(pair, []).extend((k, len(points) - 1) for k in ends)
     made = []
     for pair, joined in links.items():
-        for chain in _chains(joined):
+        for chain in chains(joined):
             named = [str(kinds[k]) for k in chain if k < len(kinds)]
             kind = max(set(named), key=named.count) if named else ""
             ends = typing.cast("tuple[Regime, Regime]", tuple(Regime(r) for r in pair))
@@ -395,28 +395,3 @@ def _curves(known: _Known, whole, a, b, one, other, x, y) -> list[Boundary]:
                 Boundary(ends, kind, np.array([points[k] for k in chain]), np.array([errors[k] for k in chain]))
             )
     return made
-
-
-def _chains(links: list) -> list[list[int]]:
-    """Links between points joined into chains; a chain ends where one or more than two meet."""
-    beside: dict = {}
-    for a, b in links:
-        beside.setdefault(a, set()).add(b)
-        beside.setdefault(b, set()).add(a)
-    left = {frozenset(pair) for pair in links if pair[0] != pair[1]}
-    chains = []
-    ends = [k for k, near in beside.items() if len(near) != 2]
-    for begin in [*ends, *beside]:
-        for following in sorted(beside[begin]):
-            if frozenset((begin, following)) not in left:
-                continue
-            chain = [begin, following]
-            left.discard(frozenset(chain))
-            while len(beside[chain[-1]]) == 2:
-                onward = [k for k in beside[chain[-1]] if frozenset((chain[-1], k)) in left]
-                if not onward:
-                    break
-                left.discard(frozenset((chain[-1], onward[0])))
-                chain.append(onward[0])
-            chains.append(chain)
-    return chains

@@ -86,7 +86,9 @@ def plot_regime_map(data: Any, *, ax: Axes | None = None, designs: Any = (), leg
     ax.set_xlim(x[0], x[-1])
     ax.set_ylim(y[0], y[-1])
     if legend and small:
-        ax.legend(handles=small, loc="lower left", fontsize=8, framealpha=0.9)
+        ax.legend(
+            handles=small, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(small), fontsize=8, frameon=False
+        )
     return ax
 
 

@@ -23,10 +23,12 @@ _MOST = 8  # uncertain parameters, whose corners are taken
 class Scenario:
     """One case: the scene with what is uncertain at its value there, and the factors of the parameters that are sought.
 
-    `sheet` is the surface or family its states come from; `given` the one the caller gave.
+    The breakdown field of `scene` is the operating field, that of `real` the law's. `sheet` is the surface or family the states
+    come from; `given` the one the caller gave.
     """
 
     scene: Scene
+    real: Scene
     factors: np.ndarray
     sheet: Surface | SurfaceFamily
     given: Surface | SurfaceFamily | None
@@ -42,7 +44,16 @@ def value_of(scene: Scene, name: str) -> float:
     return float(part)
 
 
-def scenarios_of(scene: Scene, axes: list, uncertain: dict, quantile: float | None, surface) -> list[Scenario]:
+def operated(scene: Scene, margin: float) -> Scene:
+    """The scene whose breakdown field is the operating field, 1 − margin of the law's."""
+    if margin == 0:
+        return scene
+    return scene.replace(breakdown_field_scale=value_of(scene, "breakdown_field_scale") * (1 - margin))
+
+
+def scenarios_of(
+    scene: Scene, axes: list, uncertain: dict, quantile: float | None, surface, margin: float
+) -> list[Scenario]:
     """The centre of the box first, then its corners, or with a quantile even samples of it."""
     names = tuple(a.name for a in axes)
     for name, share in uncertain.items():
@@ -65,7 +76,9 @@ def scenarios_of(scene: Scene, axes: list, uncertain: dict, quantile: float | No
             key, given = (*key, changes["prestretch"]), surface if isinstance(surface, SurfaceFamily) else None
         if key not in sheets:
             sheets[key] = _sheet(own, axes, factors, given)
-        made.append(Scenario(own, np.array([factors.get(n, 1.0) for n in names]), sheets[key], given))
+        made.append(
+            Scenario(operated(own, margin), own, np.array([factors.get(n, 1.0) for n in names]), sheets[key], given)
+        )
     return made
 
 

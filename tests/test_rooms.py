@@ -57,6 +57,7 @@ ROOMS = [
     "designs",
     "sheet_conditions",
     "boundaries",
+    "grid_lines",
     "regime_plots",
     "regime_maps",
     "scenarios",
