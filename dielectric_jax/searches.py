@@ -27,7 +27,7 @@ from .scene import Scene
 from .surface import Surface
 from .tracing import branch_problem
 
-__all__ = ["EVENTS", "first_folds", "first_folds_on_surface", "ramp_events"]
+__all__ = ["EVENTS", "first_folds", "first_folds_on_surface", "loading_columns", "ramp_events"]
 
 #: the events that a search tells, each as λa, p, q, V, error, code
 EVENTS = ("start", "snap", "landing", "breakdown", "snap_back", "landing_back", "rest")
@@ -278,7 +278,7 @@ def _table_of(ramps: Ramps) -> dict[str, np.ndarray]:
     return table
 
 
-def _given(loading, surface: Surface) -> dict:
+def loading_columns(loading, surface: Surface) -> dict:
     """The columns of a loading under the names of `chamber_ramps`, or the pressure."""
     if isinstance(loading, ConstantPressure):
         return {"pressure": loading.pressure}
@@ -293,7 +293,7 @@ def _given(loading, surface: Surface) -> dict:
 
 def first_folds_on_surface(scenes: Scenes, surface: Surface) -> dict[str, np.ndarray]:
     """`first_folds` of scenes of one membrane on its surface; shooting decides what the surface does not."""
-    found = first_folds_on(surface, _given(scenes.columns().loading, surface))
+    found = first_folds_on(surface, loading_columns(scenes.columns().loading, surface))
     code = np.full((*found.shape[:-1], 1), float(Code.ok))
     found = np.concatenate([found[..., [0, 1, 3, 2, 4]], code], axis=-1)
     unknown = np.flatnonzero(~np.isfinite(found[:, 1, 0]))
@@ -327,7 +327,7 @@ def ramp_events(scenes: Scenes, surface: Surface | None = None, *, alone: bool =
     if surface is None:
         ramps = continue_scenes(list(scenes)).ramps
     else:
-        given = _given(scenes.columns().loading, surface)
+        given = loading_columns(scenes.columns().loading, surface)
         ramps = pressure_ramps(surface, **given) if "pressure" in given else chamber_ramps(surface, **given)
     table = _table_of(ramps)
     unknown = ramps.outcome == Outcome.unresolved
