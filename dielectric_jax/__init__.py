@@ -67,6 +67,15 @@ _ROOMS = {
     "sweeps": ("open_sweep", "sweep"),
     "specification": ("read_specification", "scene_of"),
     "reading": ("best_designs", "compare_sweeps", "count_sweep", "export_sweep", "plot_sweep", "select_regime"),
+    "turning_points": (
+        "bistability_onset",
+        "bistability_point",
+        "cusp",
+        "pressure_cusp",
+        "pressure_peak",
+        "pressure_valley",
+        "zero_voltage_point",
+    ),
     "cache": ("enable_compilation_cache",),
 }
 _HOME = {name: room for room, names in _ROOMS.items() for name in names}
@@ -136,6 +145,15 @@ if typing.TYPE_CHECKING:
     from .surface import SheetState, Surface
     from .sweeps import open_sweep, sweep
     from .units import VHB_4910, Units
+    from .turning_points import (
+        bistability_onset,
+        bistability_point,
+        cusp,
+        pressure_cusp,
+        pressure_peak,
+        pressure_valley,
+        zero_voltage_point,
+    )
 
 
 def __getattr__(name: str):

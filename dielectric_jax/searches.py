@@ -131,7 +131,7 @@ class Scenes(Sequence):
         for name in loading.__dataclass_fields__:
             value = getattr(loading, name)
             if value is not None:
-                good &= (value >= 0) if name == "atmospheric_pressure" else (value > 0)
+                good &= (value >= 0) if name in ("atmospheric_pressure", "voltage") else (value > 0)
         if surface is None:  # else the membrane is the surface's
             for i in np.flatnonzero(good):
                 good[i] = _constructed(self[i])
@@ -206,18 +206,19 @@ def first_folds(scenes: Scenes) -> dict[str, np.ndarray]:
             table[name][:] = events[name]
         todo = np.flatnonzero(~np.isfinite(table["snap"][:, 0]) & (table["snap"][:, 5] != int(Code.start_unstable)))
     for i in todo:
-        table["start"][i], table["snap"][i] = _guarded(_first_fold, scenes[i])
+        table["start"][i], table["snap"][i] = guarded(_first_fold, scenes[i])
     return table
 
 
-def _guarded(search, scene: Scene):
-    """A search whose refusal becomes a code: a failing scene never harms its neighbours."""
+def guarded(search, scene: Scene, rows: int = 2, width: int = 6):
+    """A search for rows of numbers, whose refusal becomes a code: a failing scene never harms its neighbours."""
     try:
         return search(scene)
     except SceneError as error:
-        return _no(error.code), _no(error.code)
+        code = error.code
     except ValueError:
-        return _no(Code.no_equilibrium), _no(Code.no_equilibrium)
+        code = Code.no_equilibrium
+    return [np.pad(_no(code), (0, width - 6), constant_values=np.nan)] * rows
 
 
 def _of_state(state: State) -> np.ndarray:
