@@ -18,6 +18,7 @@ from jaxtyping import Array, Float, Int
 from .batch import ByLeaves
 from .engines import AbstractEngine, ByShooting, OnSheet
 from .equilibria import difficulty, largest_on, locking_stretch
+from .leaves import Scenes
 from .loading import Chamber, ConstantPressure, ConstantVoltage
 from .materials import is_concrete
 from .membrane import field_ratio_squared
@@ -34,7 +35,7 @@ from .points import (
 )
 from .results import Code, SceneError
 from .scene import Scene
-from .searches import Scenes, first_folds, first_folds_on_surface, guarded, ramp_events
+from .searches import first_folds, first_folds_on_surface, guarded, ramp_events
 from .states import filling
 from .surface import Surface
 

@@ -4,11 +4,15 @@ At a given q the states form one curve over λa. The explicit map gives it on no
 the equations of `points` makes it exact. Nothing here is differentiated.
 """
 
+import functools
+import itertools
+
 import jax
 import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.optimize import brentq
 
+from .batch import ByLeaves
 from .chart import map_nodes, stretch_shares
 from .engines import ByShooting
 from .equilibria import SCALE, largest_on
@@ -62,6 +66,16 @@ class Line:
         return [brentq(function, self.fine[i], self.fine[i + 1], xtol=1e-12) for i in crossing]  # pyright: ignore
 
 
+@functools.lru_cache(maxsize=512)
+def _line(key: ByLeaves, q: float) -> Line:
+    return Line(key.membrane, q)
+
+
+def line_of(membrane: Membrane, q: float) -> Line:
+    """The line of a membrane at a load; the last ones are kept, for chambers share them."""
+    return _line(ByLeaves.of(membrane), float(q))
+
+
 def settle(kind: str, u, theta: Conditions, free: int | None = None, value: float = 0.0):
     """Newton on the equations of a kind from u = (λa, p, q) and the free leaf's value; then once more on a finer grid.
 
@@ -104,7 +118,7 @@ def none(code: Code) -> np.ndarray:
 
 def pressure_extremes(membrane: Membrane, q: float) -> dict[str, np.ndarray]:
     """The first peak of the pressure along λa at a load, and the first valley after it."""
-    line = Line(membrane, q)
+    line = line_of(membrane, q)
     found = {"peak": none(Code.no_pressure_fold), "valley": none(Code.no_pressure_fold)}
     if not line.length:
         return found
@@ -124,7 +138,7 @@ def pressure_extremes(membrane: Membrane, q: float) -> dict[str, np.ndarray]:
 
 def zero_states(membrane: Membrane, contour: Contour) -> list[np.ndarray]:
     """Every state at zero voltage under a loading, by rising λa."""
-    line = Line(membrane, 0.0)
+    line = line_of(membrane, 0.0)
     if not line.length:
         return []
     roots = line.roots(lambda s: np.asarray(contour.residual(*line.at(s)[1:], 0.0)))
@@ -153,7 +167,7 @@ def _volume_through(loading: Chamber, filled, p, v):
 
 def onset(membrane: Membrane, loading: Chamber, filled) -> np.ndarray:
     """The least volume of the chamber with a second stable state at zero voltage: a tangency at q = 0."""
-    line = Line(membrane, 0.0)
+    line = line_of(membrane, 0.0)
     if not line.length:
         return none(Code.no_bistability)
 
@@ -180,7 +194,7 @@ def pressure_cusp(membrane: Membrane, q: float, within: tuple[float, float]) -> 
     def gap(rim: float):
         """How far the slope of log p falls below zero between peak and valley, and where it is least."""
         own = Membrane(membrane.material, rim, membrane.breakdown)
-        line = Line(own, q)
+        line = line_of(own, q)
         if not line.length:
             return np.nan, None
         # by log λa: a smooth parametrisation without the nodes' crowding
@@ -223,7 +237,7 @@ def chamber_cusps(membrane: Membrane, loading: Chamber, filled, within: tuple[fl
     found: list[np.ndarray] = []
     before = None
     for q in loads:
-        line = Line(membrane, float(q))
+        line = line_of(membrane, float(q))
         extremes = []
         if line.length:
             apex, p, v = line.at(line.fine)
@@ -235,7 +249,7 @@ def chamber_cusps(membrane: Membrane, loading: Chamber, filled, within: tuple[fl
         if before is not None and abs(len(extremes) - len(before[1])) == 2:
             more = max((extremes, before[1]), key=len)
             at = q if more is extremes else before[0]
-            pairs = sorted(zip(more[:-1], more[1:], strict=True), key=lambda ab: abs(ab[0][2] / ab[1][2] - 1))
+            pairs = sorted(itertools.pairwise(more), key=lambda ab: abs(ab[0][2] / ab[1][2] - 1))
             (a0, p0, s0), (a1, p1, s1) = pairs[0]
             theta = Conditions(membrane, loading.contour(*filled), np.asarray(0.0))
             guess = ((a0 + a1) / 2, (p0 + p1) / 2, float(at))

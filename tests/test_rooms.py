@@ -56,6 +56,7 @@ ROOMS = [
     "portraits",
     "material_page",
     "diagram",
+    "leaves",
     "measurements",
     "calibration",
     "searches",
