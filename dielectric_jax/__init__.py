@@ -144,7 +144,6 @@ if typing.TYPE_CHECKING:
     from .states import equilibrium
     from .surface import SheetState, Surface
     from .sweeps import open_sweep, sweep
-    from .units import VHB_4910, Units
     from .turning_points import (
         bistability_onset,
         bistability_point,
@@ -154,6 +153,7 @@ if typing.TYPE_CHECKING:
         pressure_valley,
         zero_voltage_point,
     )
+    from .units import VHB_4910, Units
 
 
 def __getattr__(name: str):

@@ -6,13 +6,14 @@ import typing
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from .kept import kept_jit
 from .membrane import Membrane
 from .shooting import shoot
 from .surface import Surface
 
-__all__ = ["AbstractEngine", "ByShooting", "OnSheet", "perturbed", "towers"]
+__all__ = ["AbstractEngine", "ByShooting", "OnSheet", "entries", "perturbed", "towers"]
 
 
 class AbstractEngine(eqx.Module):
@@ -95,22 +96,30 @@ def _(primals, tangents):
         moved = moved + _sheet(own, place, order + 1, engine) @ of_place
     leaves, tree = jax.tree.flatten(own)
     for k, move in zip(*perturbed(of_own), strict=True):
+        leaf = jnp.asarray(leaves[k], float)
+        for entry, share in zip(entries(leaf), jnp.ravel(move), strict=True):
 
-        def by_leaf(place, k=k):
-            """∂p/∂m = −(∂lag/∂m)/(∂lag/∂p) and ∂V/∂m at given (λa, q)."""
-            p = _sheet(own, place, 0, engine)[0]
+            def by_leaf(place, k=k, leaf=leaf, entry=entry):
+                """∂p/∂m = −(∂lag/∂m)/(∂lag/∂p) and ∂V/∂m at given (λa, q)."""
+                p = _sheet(own, place, 0, engine)[0]
 
-            def shot(p, leaf):
-                material, prestretch = tree.unflatten([*leaves[:k], leaf, *leaves[k + 1 :]])
-                end = shoot(material, place[0], p, place[1], steps=engine.steps)
-                return jnp.stack([end.lag - (prestretch - place[0]), end.volume])
+                def shot(p, size):
+                    material, prestretch = tree.unflatten([*leaves[:k], leaf + size * entry, *leaves[k + 1 :]])
+                    end = shoot(material, place[0], p, place[1], steps=engine.steps)
+                    return jnp.stack([end.lag - (prestretch - place[0]), end.volume])
 
-            of_p, of_leaf = jax.jacfwd(shot, (0, 1))(p, jnp.asarray(leaves[k], float))
-            by_p = -of_leaf[0] / of_p[0]
-            return jnp.stack([by_p, of_leaf[1] + of_p[1] * by_p])
+                of_p, of_leaf = jax.jacfwd(shot, (0, 1))(p, 0.0)
+                by_p = -of_leaf[0] / of_p[0]
+                return jnp.stack([by_p, of_leaf[1] + of_p[1] * by_p])
 
-        moved = moved + _derivatives(by_leaf, order)(place) * move
+            moved = moved + _derivatives(by_leaf, order)(place) * share
     return value, moved
+
+
+def entries(leaf) -> list[np.ndarray]:
+    """The unit directions of a leaf, one for each of its numbers."""
+    shape = jnp.shape(leaf)
+    return list(np.eye(max(int(np.prod(shape)), 1)).reshape(-1, *shape))
 
 
 def perturbed(tangents) -> tuple:
@@ -144,7 +153,7 @@ def _towers_program(order: int):
 
 @functools.cache
 def _towers_by_leaf_program(order: int, k: int):
-    """The derivatives of the towers by leaf k of the membrane."""
+    """The derivatives of the towers by leaf k of the membrane, along a last axis by each of its numbers."""
 
     def towers_by_leaf(engine, membrane, u):
         leaves, tree = jax.tree.flatten(membrane)
@@ -153,7 +162,8 @@ def _towers_by_leaf_program(order: int, k: int):
             return _towers(engine, tree.unflatten([*leaves[:k], leaf, *leaves[k + 1 :]]), u, order)
 
         leaf = jnp.asarray(leaves[k], float)
-        return jax.jvp(of_leaf, (leaf,), (jnp.ones_like(leaf),))[1]
+        columns = [jax.jvp(of_leaf, (leaf,), (jnp.asarray(entry),))[1] for entry in entries(leaf)]
+        return jax.tree.map(lambda *v: jnp.stack(v, axis=-1), *columns)
 
     towers_by_leaf.__name__ = f"towers_{order}_by_{k}"
     return kept_jit(towers_by_leaf)
