@@ -88,20 +88,17 @@ def _root(q):
     return jnp.where(positive, root, jnp.where(q == 0, 0.0, jnp.nan))
 
 
-def _host(names: tuple, tree, surface: Surface | None, one: Callable | None):
-    """The search as a function of the leaves of scenes, arrays of one shape: (…, names, 8).
+def _host(names: tuple, tree, shapes: list, surface: Surface | None, one: Callable | None):
+    """The search as a function of the leaves of scenes, of the given shapes and common axes before: (…, names, 8).
 
     Rows hold λa, p, q, V, error, code, steps of a shot that resolves the state, and a free parameter. `one` searches a
     single scene; without it the events of ramps are looked for.
     """
 
     def search(*leaves):
-        columns = np.broadcast_arrays(*(np.asarray(v, float) for v in leaves))
-        shape = columns[0].shape
-        rows = np.stack([c.ravel() for c in columns], axis=1)
-        out = np.full((len(rows), len(names), 8), np.nan)
+        scenes, shape = Scenes.of(tree, shapes, leaves)
+        out = np.full((len(scenes), len(names), 8), np.nan)
         out[..., 6] = _STEPS[0]
-        scenes = Scenes(tree, rows)
         out[..., 5] = scenes.admissible(surface)[:, None]
         good = np.flatnonzero(out[:, 0, 5] == int(Code.ok))
         if len(good):
@@ -164,7 +161,7 @@ def find(names: tuple, scene: Scene, surface: Surface | None, one: Callable | No
     """The named points of a scene: numbers without derivatives; see `_host`."""
     leaves, tree = jax.tree.flatten(scene)
     leaves = [jax.lax.stop_gradient(leaf) if not is_concrete(leaf) else leaf for leaf in leaves]
-    search = _host(names, tree, surface, one)
+    search = _host(names, tree, [np.shape(leaf) for leaf in leaves], surface, one)
     if _inside(leaves):
         shape = jax.ShapeDtypeStruct((len(names), 8), jnp.result_type(float))
         table = jax.pure_callback(search, shape, *leaves, vmap_method="broadcast_all")

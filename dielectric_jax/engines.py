@@ -6,13 +6,14 @@ import typing
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from .kept import kept_jit
 from .membrane import Membrane
 from .shooting import shoot
 from .surface import Surface
 
-__all__ = ["AbstractEngine", "ByShooting", "OnSheet", "perturbed", "towers"]
+__all__ = ["AbstractEngine", "ByShooting", "OnSheet", "entries", "perturbed", "towers"]
 
 
 class AbstractEngine(eqx.Module):
@@ -55,7 +56,7 @@ class OnSheet(AbstractEngine):
 
     def rim(self, membrane, u):
         own = membrane.material, membrane.prestretch
-        return jnp.stack(_on_sheet(own, u[0], u[2], self))
+        return _sheet(own, jnp.stack([u[0], u[2]]), 0, self)
 
     def residual(self, membrane, u, given):
         return u[1] - given
@@ -64,44 +65,61 @@ class OnSheet(AbstractEngine):
         return len(jax.tree.leaves(membrane.material)) + 1
 
 
-def _read(engine: OnSheet, apex, q):
-    t = q / engine.surface.membrane.largest_load(apex)
-    return tuple(engine.surface.at_load_fraction(apex, t, ("pressure", "volume")))
+def _derivatives(function, order: int):
+    """The derivatives of an order of a function of one array."""
+    for _ in range(order):
+        function = jax.jacfwd(function)
+    return function
 
 
 @eqx.filter_custom_jvp
-def _on_sheet(own, apex, q, engine):
-    return _read(engine, apex, q)
+def _sheet(own, place, order, engine):
+    """The derivatives of an order of p and V by `place` (λa, q): an array (2, 2, …).
+
+    The surface is of one membrane. What changes with `own`, material and prestretch, the shot tells, for every order, so
+    that the derivatives mix.
+    """
+
+    def read(place):
+        t = place[1] / engine.surface.membrane.largest_load(place[0])
+        return jnp.stack(engine.surface.at_load_fraction(place[0], t, ("pressure", "volume")))
+
+    return _derivatives(read, order)(place)
 
 
-@_on_sheet.def_jvp
+@_sheet.def_jvp
 def _(primals, tangents):
-    (own, apex, q, engine), (of_own, of_apex, of_q, _) = primals, tangents
-    p, v = _on_sheet(own, apex, q, engine)
-    moves = [jnp.zeros_like(p), jnp.zeros_like(v)]
-    one, zero = jnp.ones_like(p), jnp.zeros_like(p)
-    for direction, move in ((one, zero), of_apex), ((zero, one), of_q):
-        if move is not None:
-            rates = jax.jvp(lambda a, q: _read(engine, a, q), (apex, q), direction)[1]
-            moves = [m + rate * move for m, rate in zip(moves, rates, strict=True)]
+    (own, place, order, engine), (of_own, of_place, _, _) = primals, tangents
+    value = _sheet(own, place, order, engine)
+    moved = jnp.zeros_like(value)
+    if of_place is not None:
+        moved = moved + _sheet(own, place, order + 1, engine) @ of_place
     leaves, tree = jax.tree.flatten(own)
-    which, wanted = perturbed(of_own)
-    if which:
+    for k, move in zip(*perturbed(of_own), strict=True):
+        leaf = jnp.asarray(leaves[k], float)
+        for entry, share in zip(entries(leaf), jnp.ravel(move), strict=True):
 
-        def shot(p, leaves):
-            material, prestretch = tree.unflatten(leaves)
-            end = shoot(material, apex, p, q, steps=engine.steps)
-            return end.lag - (prestretch - apex), end.volume
+            def by_leaf(place, k=k, leaf=leaf, entry=entry):
+                """∂p/∂m = −(∂lag/∂m)/(∂lag/∂p) and ∂V/∂m at given (λa, q)."""
+                p = _sheet(own, place, 0, engine)[0]
 
-        slope = jax.jvp(lambda p: shot(p, leaves), (p,), (one,))[1]
-        for k, move in zip(which, wanted, strict=True):
-            leaf = jnp.asarray(leaves[k], float)
-            rate = jax.jvp(
-                lambda leaf, k=k: shot(p, [*leaves[:k], leaf, *leaves[k + 1 :]]), (leaf,), (jnp.ones_like(leaf),)
-            )[1]
-            by_p = -rate[0] / slope[0]
-            moves = [moves[0] + by_p * move, moves[1] + (rate[1] + slope[1] * by_p) * move]
-    return (p, v), tuple(moves)
+                def shot(p, size):
+                    material, prestretch = tree.unflatten([*leaves[:k], leaf + size * entry, *leaves[k + 1 :]])
+                    end = shoot(material, place[0], p, place[1], steps=engine.steps)
+                    return jnp.stack([end.lag - (prestretch - place[0]), end.volume])
+
+                of_p, of_leaf = jax.jacfwd(shot, (0, 1))(p, 0.0)
+                by_p = -of_leaf[0] / of_p[0]
+                return jnp.stack([by_p, of_leaf[1] + of_p[1] * by_p])
+
+            moved = moved + _derivatives(by_leaf, order)(place) * share
+    return value, moved
+
+
+def entries(leaf) -> list[np.ndarray]:
+    """The unit directions of a leaf, one for each of its numbers."""
+    shape = jnp.shape(leaf)
+    return list(np.eye(max(int(np.prod(shape)), 1)).reshape(-1, *shape))
 
 
 def perturbed(tangents) -> tuple:
@@ -135,7 +153,7 @@ def _towers_program(order: int):
 
 @functools.cache
 def _towers_by_leaf_program(order: int, k: int):
-    """The derivatives of the towers by leaf k of the membrane."""
+    """The derivatives of the towers by leaf k of the membrane, along a last axis by each of its numbers."""
 
     def towers_by_leaf(engine, membrane, u):
         leaves, tree = jax.tree.flatten(membrane)
@@ -144,7 +162,8 @@ def _towers_by_leaf_program(order: int, k: int):
             return _towers(engine, tree.unflatten([*leaves[:k], leaf, *leaves[k + 1 :]]), u, order)
 
         leaf = jnp.asarray(leaves[k], float)
-        return jax.jvp(of_leaf, (leaf,), (jnp.ones_like(leaf),))[1]
+        columns = [jax.jvp(of_leaf, (leaf,), (jnp.asarray(entry),))[1] for entry in entries(leaf)]
+        return jax.tree.map(lambda *v: jnp.stack(v, axis=-1), *columns)
 
     towers_by_leaf.__name__ = f"towers_{order}_by_{k}"
     return kept_jit(towers_by_leaf)

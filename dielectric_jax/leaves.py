@@ -16,34 +16,53 @@ __all__ = ["Scenes"]
 
 @dataclasses.dataclass(frozen=True)
 class Scenes(Sequence):
-    """Scenes of one kind as rows of the numbers in their leaves (scenes, leaves); built one by one when asked for."""
+    """Scenes of one kind: for every leaf of their pytree an array whose first axis counts them.
+
+    Built one by one when asked for.
+    """
 
     tree: typing.Any
-    rows: np.ndarray
+    leaves: list[np.ndarray]
+
+    @staticmethod
+    def of(tree, shapes: list[tuple], leaves) -> tuple["Scenes", tuple]:
+        """From leaves (…, *shape) of common leading axes, and those axes."""
+        leaves = [np.asarray(leaf, float) for leaf in leaves]
+        leading = np.broadcast_shapes(
+            *(leaf.shape[: leaf.ndim - len(s)] for leaf, s in zip(leaves, shapes, strict=True))
+        )
+        flat = [np.broadcast_to(v, (*leading, *s)).reshape(-1, *s) for v, s in zip(leaves, shapes, strict=True)]
+        return Scenes(tree, flat), leading
 
     def __len__(self) -> int:
-        return len(self.rows)
+        return len(self.leaves[0])
 
     def __getitem__(self, which) -> typing.Any:
         if isinstance(which, (int, np.integer)):
-            return jax.tree.unflatten(self.tree, [np.float64(v) for v in self.rows[which]])
-        return Scenes(self.tree, self.rows[which])
+            return jax.tree.unflatten(self.tree, [np.asarray(leaf[which]) for leaf in self.leaves])
+        return Scenes(self.tree, [leaf[which] for leaf in self.leaves])
 
     def columns(self) -> Scene:
         """One scene whose leaves are columns."""
-        return jax.tree.unflatten(self.tree, list(self.rows.T))
+        return jax.tree.unflatten(self.tree, self.leaves)
 
     def admissible(self, surface: Surface | None) -> np.ndarray:
         """For each the code of what is wrong with its numbers, which were unknown when it was written down."""
         code = np.full(len(self), int(Code.ok))
         if surface is not None:
-            own = np.array([np.asarray(v).item() for v in jax.tree.leaves(surface.membrane)])
-            same = jax.tree.structure(surface.membrane) == jax.tree.structure(self[0].membrane)
-            code[~(same & (self.rows[:, : len(own)] == own).all(axis=1))] = int(Code.other_membrane)
+            own, tree = jax.tree.flatten(surface.membrane)
+            seen, same = jax.tree.flatten(self.columns().membrane)
+            if tree != same:
+                code[:] = int(Code.other_membrane)
+            else:
+                for value, column in zip(own, seen, strict=True):
+                    equal = (column == np.asarray(value)).reshape(len(self), -1).all(axis=1)
+                    code[~equal] = int(Code.other_membrane)
         return np.where(self._valid(surface), code, int(Code.no_equilibrium))
 
     def _valid(self, surface: Surface | None) -> np.ndarray:
-        good: typing.Any = np.isfinite(self.rows).all(axis=1)
+        finite = [np.isfinite(leaf).reshape(len(self), -1).all(axis=1) for leaf in self.leaves]
+        good: typing.Any = np.all(finite, axis=0)
         loading = self.columns().loading
         for name in loading.__dataclass_fields__:
             value = getattr(loading, name)

@@ -4,6 +4,7 @@ At a given q the states form one curve over λa. The explicit map gives it on no
 the equations of `points` makes it exact. Nothing here is differentiated.
 """
 
+import dataclasses
 import functools
 import itertools
 
@@ -146,15 +147,12 @@ def zero_states(membrane: Membrane, contour: Contour) -> list[np.ndarray]:
     return [settle(LEVEL, (*line.at(place)[:2], 0.0), theta) for place in roots]
 
 
-#: leaves of `Conditions` by name, counted from the end: the contour's eight and the target
-_FROM_END = {"chamber_volume": 6}
-
-
 def leaf_of(theta: Conditions, name: str) -> int:
-    """The number of the leaf of θ that holds a parameter."""
+    """The number of the leaf of θ that holds a parameter, the membrane's prestretch or one of its contour."""
     if name == "prestretch":
         return len(jax.tree.leaves(theta.membrane.material))
-    return len(jax.tree.leaves(theta)) - _FROM_END[name]
+    fields = [field.name for field in dataclasses.fields(Contour)]
+    return len(jax.tree.leaves(theta.membrane)) + fields.index(name)
 
 
 def _volume_through(loading: Chamber, filled, p, v):

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .engines import AbstractEngine, perturbed, towers
+from .engines import AbstractEngine, entries, perturbed, towers
 from .loading import Contour
 from .membrane import Membrane, field_ratio_squared
 
@@ -93,7 +93,7 @@ _AXES = np.eye(3)
 
 @functools.partial(jax.jit, static_argnames=("kind", "wanted"))
 def _assemble(kind: str, wanted: tuple, engine, u, theta: Conditions, rims, by_leaf: dict):
-    """F and V (k,), and their derivatives by u (k, 3) and by the leaves of θ in `wanted` (k, wanted).
+    """F and V (k,), and their derivatives by u (k, 3) and by the numbers in the leaves of θ in `wanted` (k, numbers).
 
     `rims` holds one derivative more than the equations do, `by_leaf` the derivatives of all but that by leaves.
     """
@@ -117,8 +117,9 @@ def _assemble(kind: str, wanted: tuple, engine, u, theta: Conditions, rims, by_l
             return of(rims, u, tree.unflatten([*leaves[:k], leaf, *leaves[k + 1 :]]))
 
         leaf = jnp.asarray(leaves[k], float)
-        push = by_leaf[k] if k in by_leaf else tuple(map(jnp.zeros_like, known))
-        columns.append(jax.jvp(of_leaf, (known, leaf), (push, jnp.ones_like(leaf)))[1])
+        for j, entry in enumerate(entries(leaf)):
+            push = tuple(v[..., j] for v in by_leaf[k]) if k in by_leaf else tuple(map(jnp.zeros_like, known))
+            columns.append(jax.jvp(of_leaf, (known, leaf), (push, jnp.asarray(entry)))[1])
     by_theta = jnp.stack(columns, axis=1) if columns else jnp.zeros((len(value), 0))
     return value, jnp.stack(by_u, axis=1), by_theta
 
@@ -238,8 +239,7 @@ def _(primals, tangents):
     wanted = which if free is None else (*which, free)
     _, by_u, by_theta = _matrices(kind, wanted, engine, jnp.stack(state[:3]), at)
     rates = _rates(kind, free, by_u, by_theta)
-    total = sum(rates[:, i] * move for i, move in enumerate(moves))
-    return state, Solution(*typing.cast(Array, total))
+    return state, Solution(*(rates @ _numbers(moves)))
 
 
 @eqx.filter_custom_jvp
@@ -261,4 +261,9 @@ def _(primals, tangents):
     # at a given load: the equations without their third
     _, by_u, by_theta = _matrices(LEVEL, wanted, engine, jnp.stack(at[:3]), _with_free(theta, free, at.free))
     rates = _free_rates(free, by_u, by_theta)
-    return value, typing.cast(Array, sum(rates[i] * move for i, move in enumerate(moves)))
+    return value, rates @ _numbers(moves)
+
+
+def _numbers(moves):
+    """The numbers of several leaves, one after the other."""
+    return jnp.concatenate([jnp.ravel(move) for move in moves])
