@@ -19,6 +19,7 @@ _ROOMS = {
         "VHBBreakdown",
         "stresses",
     ),
+    "elastomers": ("CustomPermittivity", "Electrostrictive", "MooneyRivlin", "Ogden"),
     "membrane": ("Membrane", "Profile", "vhb_4910"),
     "loading": ("Chamber", "ChargeControl", "ConstantPressure", "ConstantVoltage", "PrescribedVolume"),
     "scene": ("PARAMETERS", "Scene", "Window", "describe"),
@@ -40,8 +41,13 @@ _ROOMS = {
         "pressure_ramps",
     ),
     "family": ("SurfaceFamily",),
+    "portraits": ("breakdown_latitudes", "plot_cross_section", "plot_distribution"),
+    "material_page": ("balloon_pressure", "plot_material", "tension_curves"),
+    "animation": ("animate_ramp", "plot_ramp", "ramp_path"),
     "states": ("equilibrium",),
     "diagram": ("Diagram", "pressure_volume", "voltage_volume"),
+    "paper_statements": ("Statement",),
+    "paper": ("reproduce",),
     "batch": ("Batch", "continue_scenes"),
     "critical_points": (
         "CriticalPoint",
@@ -59,6 +65,8 @@ _ROOMS = {
     "sweeps": ("open_sweep", "sweep"),
     "specification": ("read_specification", "scene_of"),
     "reading": ("best_designs", "compare_sweeps", "count_sweep", "export_sweep", "plot_sweep", "select_regime"),
+    "measurements": ("read_measurement",),
+    "calibration": ("Calibration", "calibrate"),
     "cache": ("enable_compilation_cache",),
 }
 _HOME = {name: room for room, names in _ROOMS.items() for name in names}
@@ -66,9 +74,11 @@ _HOME = {name: room for room, names in _ROOMS.items() for name in names}
 __all__ = [*_HOME]
 
 if typing.TYPE_CHECKING:
+    from .animation import animate_ramp, plot_ramp, ramp_path
     from .axes import Axis, read_scenes, samples, zipped
     from .batch import Batch, continue_scenes
     from .cache import enable_compilation_cache
+    from .calibration import Calibration, calibrate
     from .chart import explicit_map
     from .columns import Answer, Regime
     from .continuation import Problem, Steps, Trace, trace
@@ -84,6 +94,7 @@ if typing.TYPE_CHECKING:
         snap_voltage,
     )
     from .diagram import Diagram, pressure_volume, voltage_volume
+    from .elastomers import CustomPermittivity, Electrostrictive, MooneyRivlin, Ogden
     from .ensemble import (
         Curves,
         Outcome,
@@ -97,6 +108,7 @@ if typing.TYPE_CHECKING:
     )
     from .family import SurfaceFamily
     from .loading import Chamber, ChargeControl, ConstantPressure, ConstantVoltage, PrescribedVolume
+    from .material_page import balloon_pressure, plot_material, tension_curves
     from .materials import (
         ArrudaBoyce,
         ConstantBreakdown,
@@ -107,7 +119,11 @@ if typing.TYPE_CHECKING:
         VHBBreakdown,
         stresses,
     )
+    from .measurements import read_measurement
     from .membrane import Membrane, Profile, vhb_4910
+    from .paper import reproduce
+    from .paper_statements import Statement
+    from .portraits import breakdown_latitudes, plot_cross_section, plot_distribution
     from .profiles import energy, profile, scaling_defect
     from .reading import best_designs, compare_sweeps, count_sweep, export_sweep, plot_sweep, select_regime
     from .records import Branch, Event, Ramp, SpecialPoint, State

@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 
 __all__ = [
     "CHAMBER_OPTIONS",
-    "MATERIAL_CONSTANT",
+    "MATERIAL_CONSTANTS",
     "PROGRAM",
     "UNIT_CONSTANTS",
     "BadInput",
@@ -24,8 +24,14 @@ PROGRAM = "dielectric-jax"
 _FIGURE_SUFFIXES = ("eps", "jpg", "jpeg", "pdf", "png", "svg")
 CHAMBER_OPTIONS = ("initial_volume", "initial_pressure", "atmospheric_pressure", "polytropic_exponent")
 
-#: the material's own constant, as option and as argument of its class
-MATERIAL_CONSTANT = {"gent": "stretch_limit", "neo-hookean": None, "arruda-boyce": "chain_links"}
+#: the material's own constants, as options and as arguments of its class
+MATERIAL_CONSTANTS = {
+    "gent": ("stretch_limit",),
+    "neo-hookean": (),
+    "arruda-boyce": ("chain_links",),
+    "mooney-rivlin": ("c1", "c2"),
+    "ogden": ("moduli", "exponents"),
+}
 
 _DESCRIPTION = """Equilibria and bifurcation diagrams of a dielectric elastomer membrane on an air chamber.
 Quantities are dimensionless: lengths in A, pressures in μH/A, volumes in A³, voltages in H√(μ/ε); with --si all
@@ -134,9 +140,13 @@ def _parser() -> _Parser:
 
     common = _Parser(add_help=False)
     group = common.add_argument_group("membrane")
-    group.add_argument("--material", choices=list(MATERIAL_CONSTANT), default="gent", help="free energy (gent)")
+    group.add_argument("--material", choices=list(MATERIAL_CONSTANTS), default="gent", help="free energy (gent)")
     group.add_argument("--stretch-limit", type=_positive, metavar="J", help="limit J of gent (270)")
     group.add_argument("--chain-links", type=_positive, metavar="N", help="links of a chain of arruda-boyce (125)")
+    group.add_argument("--c1", type=_not_negative, metavar="C1", help="of mooney-rivlin, in μ (0.45)")
+    group.add_argument("--c2", type=_not_negative, metavar="C2", help="of mooney-rivlin, in μ (0.05)")
+    for name, symbol, what in (("--moduli", "M", "moduli μ_k of ogden, in μ"), ("--exponents", "A", "exponents α_k")):
+        group.add_argument(name, type=_finite, nargs="+", metavar=symbol, help=what)
     group.add_argument("--prestretch", type=_prestretch, default=1.0, metavar="L0", help="stretch of the rim (1)")
     group.add_argument(
         "--breakdown", type=_breakdown, default="vhb", metavar="vhb|FIELD", help="law of the breakdown field (vhb)"
@@ -178,6 +188,7 @@ def _parser() -> _Parser:
     loading = scene.add_mutually_exclusive_group(required=True)
     loading.add_argument("--pressure", type=_not_negative, metavar="P", help="constant pressure")
     loading.add_argument("--chamber-volume", type=_positive, metavar="VC", help="volume of a closed chamber")
+    loading.add_argument("--volume", type=_not_negative, metavar="V", help="prescribed volume under the membrane")
     filling = scene.add_mutually_exclusive_group()
     filling.add_argument(
         "--initial-volume", type=_not_negative, metavar="V0", help="filling of the chamber, as a volume"
@@ -188,8 +199,20 @@ def _parser() -> _Parser:
     )
     scene.add_argument("--polytropic-exponent", type=_positive, metavar="N", help="1 is isothermal (1)")
     scene.add_argument(
+        "--control", choices=["voltage", "charge"], default="voltage", help="what a ramp changes (voltage)"
+    )
+    scene.add_argument(
         "--engine", choices=["continuation", "surface"], default="continuation", help="how it is computed"
     )
+    paper = commands.add_parser(
+        "paper",
+        help="the computed figures of Li et al. (2013), and its statements beside what the equations give",
+        description="Writes figure_3.png, figure_3.json, … and statements.md, and prints the statements.",
+    )
+    paper.add_argument(
+        "--output", required=True, metavar="DIR", help="folder to write to; made where its parent exists"
+    )
+    paper.add_argument("--only", nargs="+", action="extend", metavar="FIGURE", help="numbers of figures (all)")
 
     many = commands.add_parser("sweep", help="many scenes, kept in a store", description=_DESCRIPTION)
     many.add_argument("specification", metavar="SPEC.toml", help="which scenes, and with which engine")
@@ -217,18 +240,22 @@ def _version() -> str:
 
 def _check(args: argparse.Namespace) -> None:
     """Refuses what each option allows alone but not with the others."""
+    if args.command == "paper":
+        _check_folder("--output", args.output)
+        return
     if args.json is not None and args.json != "-":
         _check_file("--json", args.json)
     if args.command == "sweep":
         _check_sweep(args)
         return
-    own = MATERIAL_CONSTANT[args.material]
-    for name in ("stretch_limit", "chain_links"):
-        if getattr(args, name) is not None and name != own:
-            owner = next(m for m, constant in MATERIAL_CONSTANT.items() if constant == name)
-            raise BadInput(
-                f"{_option(name)} must be given with --material {owner} only, but the material is {args.material}."
-            )
+    for owner, names in MATERIAL_CONSTANTS.items():
+        for name in names:
+            if getattr(args, name) is not None and owner != args.material:
+                raise BadInput(
+                    f"{_option(name)} must be given with --material {owner} only, but the material is {args.material}."
+                )
+    if (args.moduli is None) != (args.exponents is None):
+        raise BadInput("--moduli and --exponents must be given together, but one is missing.")
     for name in UNIT_CONSTANTS:
         if getattr(args, name) is not None and not args.si:
             raise BadInput(f"{_option(name)} must be given with --si only.")
@@ -238,12 +265,15 @@ def _check(args: argparse.Namespace) -> None:
             raise BadInput(f"{_option(name)} must be two numbers A < B, but is {window[0]:g} {window[1]:g}.")
     if args.command == "voltage-volume":
         given = [name for name in CHAMBER_OPTIONS if getattr(args, name) is not None]
-        if args.pressure is not None and given:
-            raise BadInput(f"{_option(given[0])} must be given with --chamber-volume only, not with --pressure.")
-        if args.pressure is None and args.initial_volume is None and args.initial_pressure is None:
+        other = "pressure" if args.pressure is not None else "volume"
+        if args.chamber_volume is None and given:
+            raise BadInput(f"{_option(given[0])} must be given with --chamber-volume only, not with --{other}.")
+        if args.chamber_volume is not None and args.initial_volume is None and args.initial_pressure is None:
             raise BadInput(
                 "--initial-volume or --initial-pressure must be given with --chamber-volume, but neither is."
             )
+        if args.control == "charge" and args.engine == "surface":
+            raise BadInput("--engine must be continuation with --control charge, but is surface.")
     if args.command == "equilibrium" and args.points is not None and args.figure is None:
         raise BadInput("--points must be given with --figure only for equilibrium, because a state has no branch.")
     if args.figure is not None:
@@ -272,6 +302,13 @@ def _check_file(option: str, name: str) -> None:
         raise BadInput(f"{option} must be a file in a folder that exists and can be written, but is {name!r}.")
 
 
+def _check_folder(option: str, name: str) -> None:
+    path = Path(name)
+    there = path if path.is_dir() else path.parent
+    if not name or (path.exists() and not path.is_dir()) or not there.is_dir() or not os.access(there, os.W_OK):
+        raise BadInput(f"{option} must be a folder that can be written, or made in one that exists, but is {name!r}.")
+
+
 def _option(name: str) -> str:
     return "--" + name.replace("_", "-")
 
@@ -284,7 +321,6 @@ def option_names(message: str, args: argparse.Namespace) -> str:
         "constant_field": "--breakdown",
         "SPEC": "SPEC.toml",
         "executor": "--workers or --scheduler",
-        "volume": "--chamber-volume" if args.command == "voltage-volume" else "--volume",
     }
     if getattr(args, "apex_stretch", None) is None:
         aliases["apex_stretch"] = "--stretch-window"

@@ -18,7 +18,7 @@ from scipy.interpolate import make_interp_spline
 
 from .kept import kept_jit
 from .loading import Contour
-from .materials import AbstractMaterial, largest_load, stresses
+from .materials import AbstractMaterial, capacitance, largest_load, stresses
 from .membrane import Membrane, apex_series, slopes
 from .programs import threads
 from .results import Code
@@ -65,7 +65,11 @@ def explicit_map(material: AbstractMaterial, apex_stretch, voltage_squared, pres
     start = [jnp.log(rate), slope0, a * radius0**2, jnp.pi / 4 * apex**3 * kappa * radius0**4, -one]
     if outputs:
         area = jnp.pi * radius0**2
-        start += [apex * kappa * radius0**2 / 2, area * apex**4, area * material.energy(apex, apex)]
+        start += [
+            apex * kappa * radius0**2 / 2,
+            area * capacitance(material, apex, apex),
+            area * material.energy(apex, apex),
+        ]
 
     def field(tau, y):
         xi, stretching = position(tau)
@@ -78,7 +82,7 @@ def explicit_map(material: AbstractMaterial, apex_stretch, voltage_squared, pres
         rates = [per_xi / radius - 1 / xi, per_xi * rate_slope, per_xi * rate1, per_xi * rate_volume, wrong]
         if outputs:
             ring = per_xi * 2 * jnp.pi * radius
-            rates += [per_xi * l1 * jnp.sin(y[1]), ring * (l1 * l2) ** 2, ring * material.energy(l1, l2)]
+            rates += [per_xi * l1 * jnp.sin(y[1]), ring * capacitance(material, l1, l2), ring * material.energy(l1, l2)]
         return stretching * jnp.stack(rates)
 
     end, _ = integrate(field, jnp.stack(start), steps)

@@ -17,7 +17,7 @@ from typing import Any
 
 from .arguments import (
     CHAMBER_OPTIONS,
-    MATERIAL_CONSTANT,
+    MATERIAL_CONSTANTS,
     PROGRAM,
     UNIT_CONSTANTS,
     BadInput,
@@ -40,9 +40,9 @@ def _say(text: str) -> None:
 
 def _membrane(dj: Any, args: argparse.Namespace) -> Any:
     kinds = {"gent": dj.Gent, "neo-hookean": dj.NeoHookean, "arruda-boyce": dj.ArrudaBoyce}
-    constant = MATERIAL_CONSTANT[args.material]
-    value = getattr(args, constant) if constant else None
-    material = kinds[args.material](**({} if value is None else {constant: value}))
+    kinds |= {"mooney-rivlin": dj.MooneyRivlin, "ogden": dj.Ogden}
+    given = {name: getattr(args, name) for name in MATERIAL_CONSTANTS[args.material]}
+    material = kinds[args.material](**{name: value for name, value in given.items() if value is not None})
     own = {} if args.units is None else {n: getattr(args.units, n) for n in ("shear_modulus", "relative_permittivity")}
     breakdown = dj.VHBBreakdown(**own) if args.breakdown == "vhb" else dj.ConstantBreakdown(args.breakdown)
     return dj.Membrane(material=material, prestretch=args.prestretch, breakdown=breakdown)
@@ -74,9 +74,13 @@ def _window(dj: Any, args: argparse.Namespace) -> Any:
 def _scene(dj: Any, args: argparse.Namespace) -> Any:
     if args.pressure is not None:
         loading = dj.ConstantPressure(pressure=args.pressure)
+    elif args.volume is not None:
+        loading = dj.PrescribedVolume(volume=args.volume)
     else:
         given = {name: getattr(args, name) for name in CHAMBER_OPTIONS if getattr(args, name) is not None}
         loading = dj.Chamber(volume=args.chamber_volume, **given)
+    if args.control == "charge":
+        loading = dj.ChargeControl(loading)
     return dj.Scene(_membrane(dj, args), loading, _window(dj, args), args.units)
 
 
@@ -144,7 +148,7 @@ def _run_voltage_volume(dj: Any, args: argparse.Namespace) -> tuple[dict, Callab
         from .plotting import chamber_voltages, plot_chamber
 
         curves = []
-        for voltage in chamber_voltages(diagram):
+        for voltage in chamber_voltages(diagram) if args.control == "voltage" else []:
             try:
                 curves += _curves(dj, args, scene.membrane, [voltage], surface)
             except SceneError:
@@ -224,7 +228,18 @@ def _summary(document: dict) -> str:
     if document["special_points"]:
         lines += _state_lines("special points", document["special_points"], ("kind", "branch"), units)
     if document["ramp"]:
-        names = ("event", "direction", "voltage", "pressure", "volume", "apex_stretch", "breakdown_ratio", "reason")
+        charge = ("charge",) if "charge" in document["ramp"][0] else ()
+        names = (
+            "event",
+            "direction",
+            "voltage",
+            *charge,
+            "pressure",
+            "volume",
+            "apex_stretch",
+            "breakdown_ratio",
+            "reason",
+        )
         lines += ["", "ramp", _table(_heads(names, units), [[e[n] for n in names] for e in document["ramp"]])]
     if document["area_strain_reason"] is not None:
         lines += ["", f"area strain: {_number_text(document['area_strain'])} ({document['area_strain_reason']})"]
@@ -287,6 +302,20 @@ def _write(document: dict, draw: Callable[[], Any], args: argparse.Namespace) ->
         print(_summary(_in_units(document, args.units, read=True)), flush=True)
 
 
+def _run_paper(args: argparse.Namespace) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from .paper import reproduce
+    from .paper_statements import statements_table
+
+    Path(args.output).mkdir(exist_ok=True)
+    try:
+        print(statements_table(reproduce(args.output, args.only, say=_say)), flush=True)
+    except ValueError as error:
+        raise BadInput(option_names(str(error), args)) from error
+
+
 def _answer(args: argparse.Namespace) -> None:
     """Computes and writes what well-formed options ask for."""
     import jax
@@ -295,6 +324,8 @@ def _answer(args: argparse.Namespace) -> None:
     import dielectric_jax as dj
 
     dj.enable_compilation_cache()
+    if args.command == "paper":
+        return _run_paper(args)
     if getattr(args, "points", 0) is None:
         args.points = 256
     try:

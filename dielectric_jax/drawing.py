@@ -13,6 +13,7 @@ from .records import Branch, Event, SpecialPoint, State
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 __all__ = [
     "COLOURS",
@@ -26,6 +27,8 @@ __all__ = [
     "event_entries",
     "line_entries",
     "line_entry",
+    "new_axes",
+    "new_figure",
     "point_entries",
     "sequence",
     "viewed",
@@ -42,10 +45,12 @@ GAS = (0, (7.0, 3.0))
 _LABELS = {
     "pressure": ("Pressure p", "Pressure p A / (μH)"),
     "voltage": ("Voltage Φ", "Voltage Φ / (H√(μ/ε))"),
+    "charge": ("Charge Q", "Charge Q / (A²√(εμ))"),
     "volume": ("Volume V", "Volume V / A³"),
     "radius": ("Undeformed radius R", "Undeformed radius R / A"),
     "r": ("Radius r", "Radius r / A"),
-    "z": ("Height z", "Height z / A"),
+    "z": ("Depth below the apex z", "Depth below the apex z / A"),
+    "height": ("Height", "Height / A"),
     "stretch": ("Stretch λ", "Stretch λ"),
     "stretch_1": ("Meridional stretch λ₁", "Meridional stretch λ₁"),
     "stretch_2": ("Hoop stretch λ₂", "Hoop stretch λ₂"),
@@ -73,6 +78,18 @@ _EVENTS = {
     "no_landing": ("^", "snap without landing"),
     "end": (">", "end of the ramp"),
 }
+
+
+def new_figure(width: float, height: float = 4.6) -> Figure:
+    """A new figure of inches."""
+    import matplotlib.pyplot as plt
+
+    return plt.figure(figsize=(width, height), layout="constrained")
+
+
+def new_axes(ax: Axes | None, width: float = 6.0) -> Axes:
+    """The axes to draw on, new ones when None."""
+    return new_figure(width).add_subplot() if ax is None else ax
 
 
 def axis_label(name: str, units: Any = None) -> str:
@@ -118,20 +135,22 @@ def sequence(count: int) -> list[Any]:
     return [tuple(c) for c in colours[:count]]
 
 
-def columns(branch: Branch, name: str, points: Sequence[SpecialPoint]) -> tuple[np.ndarray, ...]:
-    """Volume and q or p along a branch, and for each cell between two points whether it is broken and stable.
+def columns(
+    branch: Branch, name: str, points: Sequence[SpecialPoint], across: str = "volume"
+) -> tuple[np.ndarray, ...]:
+    """Volume and q, Q² or p along a branch, and for each cell between two points whether it is broken and stable.
 
-    The located folds and the onset of breakdown are put in: otherwise two line styles would meet beside the turn.
+    `across` names another quantity for the volume. The located folds and the onset of breakdown are put in: otherwise two line styles would meet beside the turn.
     Near q = 0 the states are evenly spaced in q, so Φ = √q would set off as a chord: that cell is refined, which is
     exact enough because V is smooth in q.
     """
-    volume, value = np.asarray(branch.volume, float), np.asarray(getattr(branch, name), float)
+    volume, value = np.asarray(getattr(branch, across), float), _values(branch, name)
     ratio = np.nan_to_num(np.asarray(branch.breakdown_ratio, float))
     broken, stable = ratio >= 1, np.asarray(branch.index, float) == 0
     at, extra = list(np.arange(len(volume), dtype=float)), []
     turns, onsets = np.full((2, max(len(volume) - 1, 0)), np.nan)
     for cell in np.flatnonzero(stable[1:] != stable[:-1]).tolist():
-        turns[cell], *state = _turn(branch, cell, name, points)
+        turns[cell], *state = _turn(branch, cell, name, points, volume, value, across)
         at.append(turns[cell])
         extra.append(state)
     for cell in np.flatnonzero(broken[1:] != broken[:-1]).tolist():
@@ -139,7 +158,7 @@ def columns(branch: Branch, name: str, points: Sequence[SpecialPoint]) -> tuple[
         onsets[cell] = cell + s
         at.append(onsets[cell])
         extra.append(_between(cell, s, volume, value))
-    if name == "voltage_squared":
+    if name in ("voltage_squared", "charge_squared"):
         for cell in np.flatnonzero((value[1:] >= 0) != (value[:-1] >= 0)).tolist():
             zero = value[cell] / (value[cell] - value[cell + 1])
             reached = 1.0 if value[cell + 1] >= 0 else 0.0
@@ -155,6 +174,18 @@ def columns(branch: Branch, name: str, points: Sequence[SpecialPoint]) -> tuple[
     return volume, value, _side(broken, onsets, middle), _side(stable, turns, middle)
 
 
+def _values(branch: Branch, name: str) -> np.ndarray:
+    """A quantity along a branch; "charge_squared" is q C², with the C of the nearest state known where q ≤ 0."""
+    if name != "charge_squared":
+        return np.asarray(getattr(branch, name), float)
+    q, charge = np.asarray(branch.voltage_squared, float), np.asarray(branch.charge, float)
+    known = q > 0
+    if not known.any():
+        return q
+    place = np.arange(len(q), dtype=float)
+    return q * np.interp(place, place[known], charge[known] ** 2 / q[known])
+
+
 def _side(values: np.ndarray, changes: np.ndarray, middle: np.ndarray) -> np.ndarray:
     """The value at fractional positions: that of the cell's near end, seen from where in the cell it changes."""
     cell = np.floor(middle).astype(int)
@@ -165,7 +196,15 @@ def _between(cell: int, s: float, *columns: np.ndarray) -> tuple[float, ...]:
     return tuple(float((1 - s) * c[cell] + s * c[cell + 1]) for c in columns)
 
 
-def _turn(branch: Branch, cell: int, name: str, points: Sequence[SpecialPoint]) -> tuple[float, float, float]:
+def _turn(
+    branch: Branch,
+    cell: int,
+    name: str,
+    points: Sequence[SpecialPoint],
+    volume: np.ndarray,
+    value: np.ndarray,
+    across: str,
+) -> tuple[float, float, float]:
     """Position, volume and value where the stability changes: the located fold if the cell has one, else its middle."""
     ends = np.array([[branch.volume[i], branch.apex_stretch[i]] for i in (cell, cell + 1)], float)
     room = 1e-9 * (1 + np.abs(ends).max(axis=0))
@@ -174,8 +213,10 @@ def _turn(branch: Branch, cell: int, name: str, points: Sequence[SpecialPoint]) 
         here = np.array([p.volume, p.apex_stretch])
         if p.kind == "fold" and np.all(low <= here) and np.all(here <= high):
             before, after = (float(np.linalg.norm(here - end)) for end in ends)
-            return cell + before / ((before + after) or 1.0), p.volume, float(getattr(p, name))
-    volume, value = np.asarray(branch.volume, float), np.asarray(getattr(branch, name), float)
+            height = p.charge**2 if name == "charge_squared" else float(getattr(p, name))
+            if not np.isfinite(height):
+                break
+            return cell + before / ((before + after) or 1.0), float(getattr(p, across)), height
     v, y = _between(cell, 0.5, volume, value)
     return cell + 0.5, v, y
 
@@ -199,30 +240,35 @@ def _runs(keys: np.ndarray) -> Iterator[tuple[int, int]]:
     return ((int(a), int(b)) for a, b in itertools.pairwise(edges) if b > a)
 
 
-def draw_points(ax: Axes, points: Iterable[SpecialPoint], name: str) -> None:
-    """Draws the marker of each special point; `name` is the quantity on the vertical axis."""
+def draw_points(ax: Axes, points: Iterable[SpecialPoint], name: str, across: str = "volume") -> None:
+    """Draws the marker of each special point; `name` is the quantity on the vertical axis, `across` that on the other."""
     for p in points:
         marker, face, _ = _POINTS[p.kind]
         style: dict[str, Any] = (
             {"color": "black"} if face is None else {"markerfacecolor": face, "markeredgecolor": "black"}
         )
         size = 7 if p.kind == "breakdown" else 5
-        ax.plot(p.volume, getattr(p, name), marker, markersize=size, markeredgewidth=1.2, zorder=4, **style)
+        ax.plot(getattr(p, across), getattr(p, name), marker, markersize=size, markeredgewidth=1.2, zorder=4, **style)
 
 
 def draw_events(
-    ax: Axes, events: Sequence[Event], name: str, *, gas_line: Callable[[np.ndarray], np.ndarray] | None = None
+    ax: Axes,
+    events: Sequence[Event],
+    name: str,
+    *,
+    across: str = "volume",
+    gas_line: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> None:
     """Markers at the events, and an arrow for each jump: level in voltage, along the line of the air in pressure."""
     for event, following in itertools.zip_longest(events, events[1:]):
         colour = _UP if event.direction == "up" else _DOWN
         state = event.state
         if event.event in ("snap", "snap_back") and following is not None and following.event == "landing":
-            _draw_jump(ax, state, following.state, name, colour, gas_line)
+            _draw_jump(ax, state, following.state, name, across, colour, gas_line)
         if event.event in _EVENTS and not (event.event == "start" and event.direction == "down"):
             size = 9 if event.event == "breakdown" else 6.5
             ax.plot(
-                *(state.volume, getattr(state, name)),
+                *(getattr(state, across), getattr(state, name)),
                 _EVENTS[event.event][0],
                 color=colour,
                 markeredgecolor="white",
@@ -237,10 +283,11 @@ def _draw_jump(
     state: State,
     landing: State,
     name: str,
+    across: str,
     colour: str,
     gas_line: Callable[[np.ndarray], np.ndarray] | None,
 ) -> None:
-    volume = np.linspace(state.volume, landing.volume, 60)
+    volume = np.linspace(getattr(state, across), getattr(landing, across), 60)
     if gas_line is None:
         level = np.linspace(getattr(state, name), getattr(landing, name), 60)
     else:

@@ -21,6 +21,7 @@ from .units import VACUUM_PERMITTIVITY, VHB_4910, Scalar, as_scalar, is_concrete
 
 __all__ = [
     "AbstractBreakdown",
+    "AbstractDielectric",
     "AbstractMaterial",
     "ArrudaBoyce",
     "ConstantBreakdown",
@@ -29,6 +30,7 @@ __all__ = [
     "Gent",
     "NeoHookean",
     "VHBBreakdown",
+    "capacitance",
     "stresses",
 ]
 
@@ -55,6 +57,20 @@ class AbstractMaterial(eqx.Module):
     @abc.abstractmethod
     def lock_up_stretch(self, prestretch: float) -> tuple[float, bool]:
         """The largest apex stretch of the default window, and whether it is a lock-up of the material."""
+
+
+class AbstractDielectric(AbstractMaterial):
+    """A material whose permittivity is ε e(λ1, λ2); any other is an ideal dielectric, e = 1. See `elastomers`."""
+
+    @abc.abstractmethod
+    def permittivity(self, l1: Elementwise, l2: Elementwise) -> Elementwise:
+        """e(λ1, λ2), elementwise."""
+
+
+def capacitance(material: AbstractMaterial, l1, l2):
+    """C(λ1, λ2) = e (λ1 λ2)², capacitance per reference area in units of ε/H; elementwise."""
+    ideal = (l1 * l2) ** 2
+    return material.permittivity(l1, l2) * ideal if isinstance(material, AbstractDielectric) else ideal
 
 
 def _root_of_limit(limit: float) -> float:
@@ -244,24 +260,33 @@ class CustomMaterial(AbstractMaterial):
 def stresses(material: AbstractMaterial, l1, l2, q):
     """Nominal stresses and their slopes at fixed q: s1, s2, ∂s1/∂λ1, ∂s1/∂λ2.
 
-    si = ∂w/∂λi with w = W(λ1, λ2) − q (λ1 λ2)²/2, the energy at fixed voltage (ideal dielectric); true stresses are
+    si = ∂w/∂λi with w = W(λ1, λ2) − q C(λ1, λ2)/2, the energy at fixed voltage, see `capacitance`; true stresses are
     λi si. Elementwise over arrays of one shape.
     """
     l1, l2 = jnp.broadcast_arrays(jnp.asarray(l1, float), jnp.asarray(l2, float))
     one, zero = jnp.ones_like(l1), jnp.zeros_like(l1)
 
-    def gradient(l1, l2):
-        return jax.vjp(material.energy, l1, l2)[1](one)
+    def slopes_of(energy):
+        def gradient(l1, l2):
+            return jax.vjp(energy, l1, l2)[1](one)
 
-    (w1, w2), (w11, w12) = jax.jvp(gradient, (l1, l2), (one, zero))
+        return jax.jvp(gradient, (l1, l2), (one, zero))
+
+    (w1, w2), (w11, w12) = slopes_of(material.energy)
+    if isinstance(material, AbstractDielectric):
+        (c1, c2), (c11, c12) = slopes_of(lambda l1, l2: capacitance(material, l1, l2))
+        return w1 - q * c1 / 2, w2 - q * c2 / 2, w11 - q * c11 / 2, w12 - q * c12 / 2
     return w1 - q * l1 * l2**2, w2 - q * l1**2 * l2, w11 - q * l2**2, w12 - 2 * q * l1 * l2
 
 
 @jax.jit
 def largest_load(material: AbstractMaterial, apex_stretch):
-    """q_max(λa) = W_1(λa, λa)/λa³, at which the tension of the apex vanishes; elementwise."""
+    """q_max(λa) = 2 W_1/C_1 at (λa, λa), at which the tension of the apex vanishes; W_1/λa³ where e = 1; elementwise."""
     a = jnp.asarray(apex_stretch, float)
-    return stresses(material, a, a, 0.0)[0] / a**3
+    tension = stresses(material, a, a, 0.0)[0]
+    if isinstance(material, AbstractDielectric):
+        return tension / (tension - stresses(material, a, a, 1.0)[0])
+    return tension / a**3
 
 
 def check_scale(scale) -> None:

@@ -23,11 +23,14 @@ from .drawing import (
     event_entries,
     line_entries,
     line_entry,
+    new_axes,
+    new_figure,
     point_entries,
     sequence,
     viewed,
     voltage_text,
 )
+from .loading import PrescribedVolume, control_of, mechanical
 from .records import SpecialPoint, voltage_of
 
 if TYPE_CHECKING:
@@ -38,14 +41,23 @@ __all__ = ["chamber_voltages", "plot_chamber", "plot_diagram", "plot_pressure_vo
 
 
 def plot_voltage_volume(
-    diagram: Any, *, ax: Axes | None = None, units: Any = None, whole: bool = False, legend: bool = True
+    diagram: Any,
+    *,
+    ax: Axes | None = None,
+    units: Any = None,
+    vertical: str | None = None,
+    whole: bool = False,
+    legend: bool = True,
 ) -> Axes:
-    """Draws Φ against V: every branch, the special points, and the ramp up and down with its snaps.
+    """Draws Φ, or the charge, against V: every branch, the special points, and the ramp up and down with its snaps.
+
+    Where the volume is held the apex stretch takes its place.
 
     Args:
         diagram: a `Diagram` of kind "voltage-volume".
         ax: the axes to draw on; new ones when None.
         units: the `Units` to draw in, as kV, ml and mbar; by default those the scene carries, else dimensionless.
+        vertical: "voltage" or "charge"; when None the one that the scene controls.
         whole: show every branch in full; otherwise the limits frame what the ramp meets.
         legend: whether to add a legend.
 
@@ -53,17 +65,21 @@ def plot_voltage_volume(
         The axes.
     """
     _require_kind(diagram, "voltage-volume")
+    vertical = control_of(diagram.scene.loading) if vertical is None else vertical
+    if vertical not in ("voltage", "charge"):
+        raise ValueError(f"Argument `vertical` must be 'voltage' or 'charge', but is {vertical!r}.")
+    across = "apex_stretch" if _held_volume(diagram) is not None else "volume"
     diagram, units = viewed(diagram, units)
-    ax = _axes(ax)
+    ax = new_axes(ax)
     for number, branch in enumerate(diagram.branches):
         points = [p for p in diagram.special_points if p.branch == number]
-        volume, q, broken, stable = columns(branch, "voltage_squared", points)
-        draw_line(ax, volume, voltage_of(q), stable, broken, colour=COLOURS[number % len(COLOURS)])
+        place, squared, broken, stable = columns(branch, f"{vertical}_squared", points, across)
+        draw_line(ax, place, voltage_of(squared), stable, broken, colour=COLOURS[number % len(COLOURS)])
     shown = [p for p in diagram.special_points if p.voltage_squared >= 0]
-    draw_points(ax, shown, "voltage")
-    draw_events(ax, diagram.events, "voltage")
-    _label(ax, "voltage", units)
-    _frame_voltage(ax, diagram, shown, whole)
+    draw_points(ax, shown, vertical, across)
+    draw_events(ax, diagram.events, vertical, across=across)
+    _label(ax, vertical, units, across)
+    _frame_control(ax, diagram, shown, whole, vertical, across)
     if legend:
         add_legend(ax, [*line_entries(diagram.branches), *point_entries(shown), *event_entries(diagram.events)])
     return ax
@@ -100,7 +116,7 @@ def plot_pressure_volume(
     for diagram in diagrams:
         _require_kind(diagram, "pressure-volume")
     diagrams, (units, *_) = zip(*(viewed(d, units) for d in diagrams), strict=True)
-    ax = _axes(ax)
+    ax = new_axes(ax)
     entries, shown = [], []
     for diagram, colour in zip(diagrams, sequence(len(diagrams)), strict=True):
         for number, branch in enumerate(diagram.branches):
@@ -130,11 +146,13 @@ def plot_chamber(
 ) -> Figure:
     """Draws the paper's figure of one scene: membrane curves with the line of the air, and voltage against volume.
 
-    The states of the scene are where the line of the air (dashed) crosses a curve of the membrane.
+    The states of the scene are where the line of the air, or of the held volume (dashed), crosses a curve of the membrane.
+    Under charge control the left panel is the voltage against the volume, with the folds of the charge.
 
     Args:
         diagram: a `Diagram` of kind "voltage-volume".
-        curves: diagrams of kind "pressure-volume" of the same membrane; `chamber_voltages` proposes their voltages.
+        curves: diagrams of kind "pressure-volume" of the same membrane; `chamber_voltages` proposes their voltages. None
+            under charge control, where no curve of one voltage is followed.
         figure: the figure to draw on; a new one when None.
         units: the `Units` to draw in, as kV, ml and mbar; by default those the scene carries, else dimensionless.
 
@@ -142,7 +160,14 @@ def plot_chamber(
         The figure.
     """
     _require_kind(diagram, "voltage-volume")
-    figure = _figure(11.0 if curves else 6.0) if figure is None else figure
+    charged = control_of(diagram.scene.loading) == "charge"
+    if charged and curves:
+        raise ValueError("Argument `curves` must be empty for a diagram under charge control, but is not.")
+    figure = new_figure(11.0 if curves or charged else 6.0) if figure is None else figure
+    if charged:
+        for ax, vertical in zip(figure.subplots(1, 2), ("voltage", "charge"), strict=True):
+            plot_voltage_volume(diagram, ax=ax, units=units, vertical=vertical, legend=vertical == "charge")
+        return figure
     if not curves:
         plot_voltage_volume(diagram, ax=figure.add_subplot(), units=units)
         return figure
@@ -150,10 +175,20 @@ def plot_chamber(
     plot_voltage_volume(diagram, ax=right, units=units)
     right_limits = right.get_xlim()
     diagram, units = viewed(diagram, units)
+    held = _held_volume(diagram)
+    if held is not None:
+        right_limits = (0.0, 2.2 * held)
     plot_pressure_volume(list(curves), ax=left, units=units, stability=False, legend=False)
     curves = [viewed(c, units)[0] for c in curves]
     left.set_xlim(right_limits)
     _frame_chamber(left, diagram, curves)
+    colours = sequence(len(curves))
+    entries = [line_entry(voltage_text(c.voltage, units), colour=k) for c, k in zip(curves, colours, strict=True)]
+    if held is not None:
+        left.axvline(held, color="black", linestyle=GAS, linewidth=1.2, zorder=2.5)
+        draw_events(left, diagram.events, "pressure")
+        add_legend(left, [*entries, line_entry("held volume", colour="black", linestyle=GAS)])
+        return figure
 
     def gas_line(volume: np.ndarray) -> np.ndarray:
         pressure = diagram.gas_pressure(volume)
@@ -162,9 +197,8 @@ def plot_chamber(
     volume = np.linspace(0, right_limits[1], 400)
     left.plot(volume, gas_line(volume), color="black", linestyle=GAS, linewidth=1.2, zorder=2.5)
     draw_events(left, diagram.events, "pressure", gas_line=gas_line)
-    colours = sequence(len(curves))
-    entries = [line_entry(voltage_text(c.voltage, units), colour=k) for c, k in zip(curves, colours, strict=True)]
-    entries.append(line_entry("air", colour="black", linestyle=GAS))
+    constant = diagram.gas_pressure(volume) is None
+    entries.append(line_entry("pressure held" if constant else "air", colour="black", linestyle=GAS))
     add_legend(left, entries)
     return figure
 
@@ -177,7 +211,7 @@ def plot_diagram(
         return plot_chamber(diagram, curves, figure=figure, units=units)
     if curves:
         raise ValueError("Argument `curves` must be empty for a diagram of kind 'pressure-volume', but is not.")
-    figure = _figure(6.0) if figure is None else figure
+    figure = new_figure(6.0) if figure is None else figure
     plot_pressure_volume(diagram, ax=figure.add_subplot(), units=units)
     return figure
 
@@ -193,36 +227,38 @@ def chamber_voltages(diagram: Any) -> list[float]:
     return sorted(voltages)
 
 
-def _axes(ax: Axes | None) -> Axes:
-    return _figure(6.0).add_subplot() if ax is None else ax
-
-
-def _figure(width: float) -> Figure:
-    import matplotlib.pyplot as plt
-
-    return plt.figure(figsize=(width, 4.6), layout="constrained")
-
-
 def _require_kind(diagram: Any, kind: str) -> None:
     if diagram.kind != kind:
         raise ValueError(f"Argument `diagram` must be of kind {kind!r}, but is of kind {diagram.kind!r}.")
 
 
-def _label(ax: Axes, name: str, units: Any) -> None:
-    ax.set_xlabel(axis_label("volume", units))
-    ax.set_ylabel(axis_label(name, units))
+def _held_volume(diagram: Any) -> float | None:
+    """The volume that a scene prescribes."""
+    held = mechanical(diagram.scene.loading)
+    return float(held.volume) if isinstance(held, PrescribedVolume) else None
 
 
-def _frame_voltage(ax: Axes, diagram: Any, points: Sequence[SpecialPoint], whole: bool) -> None:
+def _label(ax: Axes, vertical: str, units: Any, across: str = "volume") -> None:
+    ax.set_xlabel(axis_label(across, units))
+    ax.set_ylabel(axis_label(vertical, units))
+
+
+def _frame_control(
+    ax: Axes, diagram: Any, points: Sequence[SpecialPoint], whole: bool, vertical: str, across: str
+) -> None:
     """Limits that show what the ramp meets and the special points about as far."""
-    met = [(e.state.volume, e.state.voltage) for e in diagram.events if np.isfinite(e.state.voltage)]
+
+    def places(what):
+        return [(getattr(s, across), getattr(s, vertical)) for s in what]
+
+    met = [place for place in places(e.state for e in diagram.events) if np.isfinite(place[1])]
     if whole or len(met) < 2:
-        reached = [(v, q) for b in diagram.branches for v, q in zip(b.volume, b.voltage, strict=True) if np.isfinite(q)]
-        met += reached
-        far = [(p.volume, p.voltage) for p in points]
+        for columns_ in places(diagram.branches):
+            met += [(v, y) for v, y in zip(*columns_, strict=True) if np.isfinite(y)]
+        far = places(points)
     else:
         v_max, phi_max = max(v for v, _ in met), max(phi for _, phi in met)
-        far = [(p.volume, p.voltage) for p in points if p.volume <= 1.6 * v_max and p.voltage <= 2 * phi_max]
+        far = [(v, y) for v, y in places(points) if v <= 1.6 * v_max and y <= 2 * phi_max]
     if not met:
         return
     v_max, phi_max = (max(column) for column in zip(*met, *far, strict=True))

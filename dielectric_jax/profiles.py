@@ -5,7 +5,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from .kept import kept_jit
-from .materials import stresses
+from .materials import capacitance, stresses
 from .membrane import Membrane, Profile
 from .records import State
 from .shooting import integrate_membrane
@@ -77,9 +77,12 @@ def profile(membrane: Membrane, state: State, *, steps: int = 192) -> Profile:
 
 
 def _energy_density(membrane: Membrane, shape: Profile) -> np.ndarray:
-    """w = W − q (λ1 λ2)²/2 along the membrane."""
+    """w = W − q C/2 along the membrane."""
     l1, l2 = shape.stretch_1, shape.stretch_2
-    return np.asarray(membrane.material.energy(l1, l2)) - shape.voltage_squared * (l1 * l2) ** 2 / 2
+    return (
+        np.asarray(membrane.material.energy(l1, l2))
+        - shape.voltage_squared * np.asarray(capacitance(membrane.material, l1, l2)) / 2
+    )
 
 
 def energy(membrane: Membrane, shape: Profile) -> float:

@@ -10,7 +10,20 @@ from typing import Any
 import numpy as np
 
 from .results import Code
+from .tables import html_table
 
+# what tables of states show
+_TOLD = (
+    "voltage",
+    "pressure",
+    "volume",
+    "apex_stretch",
+    "height",
+    "charge",
+    "breakdown_ratio",
+    "index",
+    "error_estimate",
+)
 __all__ = ["QUANTITIES", "Branch", "Event", "Ramp", "SpecialPoint", "State"]
 
 #: the columns of a branch, in the order of the JSON document
@@ -77,6 +90,10 @@ class State:
             out[name] = getattr(self, name)
         out["flags"] = list(self.flags)
         return plain(out)
+
+    def _repr_html_(self) -> str:
+        heads = ("kind", *_TOLD) if isinstance(self, SpecialPoint) else _TOLD
+        return html_table([h.replace("_", " ") for h in heads], [[getattr(self, n) for n in heads]])
 
     def __repr__(self) -> str:
         index = "" if self.index is None else f", index={self.index}"
@@ -178,6 +195,20 @@ class Ramp:
         """All events of one name, such as `ramp["landing"]`."""
         return [e for e in self.events if e.event == name]
 
+    def _repr_html_(self) -> str:
+        strain = "" if self.area_strain is None else f"area strain {self.area_strain:.6g} ({self.area_strain_reason})"
+        return events_table(self.events, strain)
+
     def to_json(self) -> list[dict]:
         """The events in order."""
         return [e.to_json() for e in self.events]
+
+
+def events_table(events: tuple[Event, ...], caption: str = "", units: Any = None) -> str:
+    """The events of ramps as an HTML table, in the units' reading where they are given."""
+    names = ("voltage", "pressure", "volume", "apex_stretch", "breakdown_ratio")
+    shown = events if units is None else units.read(events)
+    named = {} if units is None else units.names(read=True)
+    heads = [n.replace("_", " ") + (f" / {named[n]}" if n in named else "") for n in names]
+    rows = [[e.event, e.direction, *(getattr(e.state, n) for n in names), e.reason or ""] for e in shown]
+    return html_table(["event", "direction", *heads, "reason"], rows, caption)

@@ -8,6 +8,7 @@ import typing
 import equinox as eqx
 import numpy as np
 
+from .elastomers import CustomPermittivity, Electrostrictive, MooneyRivlin, Ogden
 from .loading import (
     AbstractLoading,
     Chamber,
@@ -18,7 +19,15 @@ from .loading import (
     control_of,
     mechanical,
 )
-from .materials import ArrudaBoyce, ConstantBreakdown, CustomMaterial, Gent, NeoHookean, VHBBreakdown
+from .materials import (
+    AbstractDielectric,
+    ArrudaBoyce,
+    ConstantBreakdown,
+    CustomMaterial,
+    Gent,
+    NeoHookean,
+    VHBBreakdown,
+)
 from .membrane import Membrane
 from .units import Units, is_concrete
 
@@ -41,6 +50,12 @@ PARAMETERS = {
     "breakdown_field_scale": ("membrane", "breakdown", "scale"),
     "stretch_limit": ("membrane", "material", "stretch_limit"),
     "chain_links": ("membrane", "material", "chain_links"),
+    "c1": ("membrane", "material", "c1"),
+    "c2": ("membrane", "material", "c2"),
+    "moduli": ("membrane", "material", "moduli"),
+    "exponents": ("membrane", "material", "exponents"),
+    "thickness_coefficient": ("membrane", "material", "thickness_coefficient"),
+    "stretch_coefficient": ("membrane", "material", "stretch_coefficient"),
     "shear_modulus": ("units", "shear_modulus"),
     "thickness": ("units", "thickness"),
     "radius": ("units", "radius"),
@@ -158,8 +173,10 @@ class Scene(eqx.Module):
 
     def path_of(self, name: str) -> tuple[str, ...]:
         """Where the scene keeps a parameter; raises ValueError where it has none of that name."""
-        path = PARAMETERS.get(name)
-        if path is None:
+        path = PARAMETERS.get(name, ())
+        if path[:2] == ("membrane", "material") and not _has(self, path):
+            path = (*path[:2], "elastic", path[-1])  # the elasticity of a dielectric
+        if not path:
             raise ValueError(f"`{name}` must be one of {', '.join(PARAMETERS)}, but is not a parameter of a scene.")
         own = _OWNERS.get(name, AbstractLoading)
         if isinstance(self.loading, ChargeControl) and path[0] == "loading":
@@ -248,7 +265,22 @@ def describe_units(units: Units) -> dict:
     return {name: float(getattr(units, name)) for name in units.__dataclass_fields__}
 
 
-_MATERIAL_NAMES = {Gent: "gent", NeoHookean: "neo-hookean", ArrudaBoyce: "arruda-boyce", CustomMaterial: "custom"}
+_MATERIAL_NAMES = {
+    Gent: "gent",
+    NeoHookean: "neo-hookean",
+    ArrudaBoyce: "arruda-boyce",
+    CustomMaterial: "custom",
+    MooneyRivlin: "mooney-rivlin",
+    Ogden: "ogden",
+    Electrostrictive: "electrostrictive",
+    CustomPermittivity: "custom-permittivity",
+}
+
+
+def _constants(material) -> dict:
+    """A material's own numbers, under their published names."""
+    known = [n for n, path in PARAMETERS.items() if path[:2] == ("membrane", "material") and _has(material, path[2:])]
+    return {n: np.asarray(getattr(material, n), float).tolist() for n in known}
 
 
 def describe(what: Scene | Membrane) -> dict:
@@ -256,9 +288,12 @@ def describe(what: Scene | Membrane) -> dict:
     scene = what if isinstance(what, Scene) else None
     membrane = what.membrane if isinstance(what, Scene) else what
     out: dict = {"material": _MATERIAL_NAMES.get(type(membrane.material), type(membrane.material).__name__)}
-    for name in ("stretch_limit", "chain_links"):
-        if name in _fields(membrane.material):
-            out[name] = float(getattr(membrane.material, name))
+    material = membrane.material
+    if isinstance(material, AbstractDielectric):
+        elastic = getattr(material, "elastic", None)
+        out["elastic"] = _MATERIAL_NAMES.get(type(elastic), type(elastic).__name__)
+        out |= _constants(elastic)
+    out |= _constants(material)
     out["prestretch"] = float(membrane.prestretch)
     law = membrane.breakdown
     out["breakdown"] = (

@@ -26,7 +26,7 @@ from .scene import Scene
 from .surface import Surface
 from .tracing import branch_problem
 
-__all__ = ["EVENTS", "first_folds", "first_folds_on_surface", "ramp_events", "Scenes"]
+__all__ = ["EVENTS", "Scenes", "first_folds", "first_folds_on_surface", "ramp_events"]
 
 #: the events that a search tells, each as λa, p, q, V, error, code
 EVENTS = ("start", "snap", "landing", "breakdown", "snap_back", "landing_back", "rest")

@@ -24,7 +24,7 @@ import numpy as np
 from .chart import map_nodes
 from .elements import NODES, Element, Sampler, Task, coefficients, fresh_places, marks, node_points, read, refine
 from .kept import kept_jit
-from .materials import AbstractMaterial, largest_load, stresses
+from .materials import AbstractMaterial, capacitance, largest_load, stresses
 from .membrane import Membrane, slopes
 from .programs import run_chunks
 from .shooting import eighth_order_step, integrate_membrane
@@ -43,16 +43,16 @@ def rim_state(material: AbstractMaterial, p, q, rim, end):
     pressure, volume, charge = p * radius, volume / radius**3, charge / radius**2
     sine, cosine = jnp.sin(theta), jnp.cos(theta)
     s1 = stresses(material, l1, rim, q)[0]
-    density = material.energy(l1, rim) - q * (l1 * rim) ** 2 / 2
+    density = material.energy(l1, rim) - q * capacitance(material, l1, rim) / 2
     at_rim = density - pressure * rim**2 * l1 * sine / 2 + (rim - l1 * cosine) * s1 * cosine
     energy = jnp.pi * at_rim + 1.5 * pressure * volume + q * charge / 2
     return pressure, volume, height / radius, charge, energy
 
 
-def state_rates(radius, l1, l2, theta, bends):
+def state_rates(material: AbstractMaterial, radius, l1, l2, theta, bends):
     """d/dR of λ1, λ2, θ (`bends`), V, z, C."""
     rise = l1 * jnp.sin(theta)
-    ring = 2 * jnp.pi * radius * (l1 * l2) ** 2
+    ring = 2 * jnp.pi * radius * capacitance(material, l1, l2)
     return jnp.stack([*bends, jnp.pi * (radius * l2) ** 2 * rise, rise, ring])
 
 
@@ -67,7 +67,7 @@ def _sheet_program(material: AbstractMaterial, u, steps):
 
     def rates(radius, y):
         l1, l2, theta = apex + y[0], apex + y[1], y[2]
-        return state_rates(radius, l1, l2, theta, slopes(material, radius, l1, l2, theta, p, q))
+        return state_rates(material, radius, l1, l2, theta, slopes(material, radius, l1, l2, theta, p, q))
 
     radius = jnp.ones_like(apex)
     for _ in range(2):  # Newton for λ2(R*) = λ0
@@ -93,7 +93,7 @@ def sheet_states(material: AbstractMaterial, apex, load, rim, guess, steps: floa
 def edge_factors(material: AbstractMaterial, apex, load, rim):
     """What is divided out of each quantity, shape (5, …): the behaviour at the flat membrane and at the cone."""
     m = jnp.sqrt(apex - rim)
-    tension = largest_load(material, apex) * apex**3 * (1 - load)
+    tension = stresses(material, apex, apex, 0.0)[0] * (1 - load)
     return jnp.stack([m * tension, m, m, jnp.ones_like(m), (apex - 1) ** 2])
 
 

@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .materials import AbstractMaterial, stresses
+from .materials import AbstractMaterial, capacitance, stresses
 from .membrane import apex_series, slopes
 
 __all__ = ["Rim", "Shot", "shoot"]
@@ -220,7 +220,7 @@ def integrate_membrane(
         slope = jnp.arcsin(p * first * l2**2 / (2 * s1))  # first integral (13)
         y = [a * first**2, b * first**2, slope, jnp.pi / 4 * apex**3 * k * first**4]
         if outputs:
-            y += [apex * k * first**2 / 2, jnp.pi * apex**4 * first**2]
+            y += [apex * k * first**2 / 2, jnp.pi * capacitance(material, apex, apex) * first**2]
         return y
 
     def rates(radius, y, theta):
@@ -233,7 +233,7 @@ def integrate_membrane(
             jnp.pi * (radius * l2) ** 2 * l1 * sine,
         ]
         if outputs:
-            rate += [l1 * sine, 2 * jnp.pi * (l1 * l2) ** 2 * radius]
+            rate += [l1 * sine, 2 * jnp.pi * capacitance(treedef.unflatten(leaves), l1, l2) * radius]
         return rate
 
     theta = (leaves, list(inputs))

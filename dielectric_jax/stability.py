@@ -25,9 +25,11 @@ from .shooting import COLUMNS, integrate_membrane
 
 __all__ = ["Stability", "control_rate", "index_of", "index_under", "stability_of"]
 
+LEAST_ERROR = 1e-13
 _GRIDS = (160.0, 320.0)  # steps; what the two tell differently is not told
 _DOUBT = 20.0  # times the change between the grids: what is smaller has no sign
-_EQUILIBRIUM = 1e-5  # largest defect at the rim of a state that is one, relative to λa
+_STATE_DOUBT = 100.0  # times the error of the state, relative to the terms of a determinant: likewise
+_EQUILIBRIUM = 1e-5  # largest defect at the rim of a state that is one, relative to λa, or to p or q in these
 
 
 def index_of(zeros, jacobian, columns, volume, contour, charge=None):
@@ -78,7 +80,7 @@ class Stability:
     """What `stability_of` tells of a state.
 
     `index` is None where it is not valid, for `reasons`: "not_elliptic", "no_tension" (of the meridian), "near_fold"
-    (nearer to a change of the index than the shot can tell), "unresolved". `hoop_tension` is the least true hoop stress
+    (nearer to a change of the index than the shot can tell), "unresolved" (the grids differ; numbers may be NaN). `hoop_tension` is the least true hoop stress
     σ2 and `hoop_tension_radius` the R where it is taken; `meridional_tension` the least σ1; `tangent_modulus` the least
     ∂s1/∂λ1, the margin of ellipticity.
     """
@@ -166,7 +168,8 @@ def stability_of(what: Scene | Membrane, state):
         if not isinstance(s, State):
             raise ValueError(f"`state` must be a State or a sequence of them, but holds a {type(s).__name__}.")
     curved = [i for i, s in enumerate(states) if s.pressure > 0]
-    told: dict = dict(zip(curved, _curved(what, membrane, [states[i] for i in curved]), strict=True))
+    chosen = [states[i] for i in curved]
+    told = dict(zip(curved, judge(what, chosen, survey(membrane, chosen)), strict=True))
     found = [told[i] if i in told else _flat(membrane, s) for i, s in enumerate(states)]
     return found[0] if one else found
 
@@ -196,29 +199,46 @@ def _weights(what, states: list[State]):
     return by_p, by_v
 
 
-def _curved(what, membrane: Membrane, states: list[State]) -> list[Stability]:
+def survey(membrane: Membrane, states: list[State]) -> list:
+    """What `_survey_program` gives of inflated states on each of the grids."""
+    u = np.array([[s.apex_stretch, s.pressure, s.voltage_squared] for s in states]).T.reshape(3, -1)
     if not states:
         return []
-    u = np.array([[s.apex_stretch, s.pressure, s.voltage_squared] for s in states]).T
-    by_p, by_v = _weights(what, states)
+    return [run_chunks(lambda part, n=steps: _survey_program(membrane.material, part, n), u) for steps in _GRIDS]
+
+
+def judge(what: Scene | Membrane, states: list[State], surveys: list) -> list[Stability]:
+    """The stability under a loading of states that were surveyed."""
+    if not states:
+        return []
+    membrane = what.membrane if isinstance(what, Scene) else what
+    names = ("apex_stretch", "pressure", "voltage_squared")
+    apex, pressure, q = (np.array([getattr(s, name) for s in states]) for name in names)
     charged = isinstance(what, Scene) and isinstance(what.loading, ChargeControl)
-    grids = []
-    for steps in _GRIDS:
-        survey = run_chunks(lambda part, n=steps: _survey_program(membrane.material, part, n), u)
-        grids.append((survey, *_index_and_signs(survey, u[2], by_p, by_v, charged)))
-    (_, coarse, rough), (survey, index, signs) = grids
-    lag, _, _, _, zeros, radius, hoop, tension, modulus = survey
+    given = q, *_weights(what, states), charged
+    (coarse, rough, _), (index, sign, size) = (_index_and_sign(found, *given) for found in surveys)
+    error = np.maximum([s.error_estimate for s in states], LEAST_ERROR)
+    lag, _, _, columns, zeros, radius, hoop, tension, modulus = surveys[1]
     with np.errstate(all="ignore"):
-        defect = np.abs(lag - (float(membrane.prestretch) - u[0])) / u[0]
-        near = (np.abs(signs) <= _DOUBT * np.abs(signs - rough)).any(axis=0)
+        defect = np.abs(lag - (float(membrane.prestretch) - apex)) / apex
+        # towards the cone an exact state's shot may end far off, but a small change of its p or q mends that
+        reach = np.maximum(np.abs(columns[1, 0] * pressure), np.abs(columns[2, 0] * q))
+        off = np.minimum(defect, defect * apex / reach)
+        # beyond t of about 0.99 a shot may blow up every error: then the grids differ
+        agreed = np.abs(lag - surveys[0][0]) / apex < 0.01 * defect + 0.1 * _EQUILIBRIUM
+        doubt = np.maximum(_DOUBT * np.abs(sign - rough), _STATE_DOUBT * error * size)
+        near = np.abs(sign) <= doubt
     found = []
     for i, state in enumerate(states):
-        if not defect[i] < _EQUILIBRIUM and np.isfinite(lag[i]):
+        if off[i] > _EQUILIBRIUM and agreed[i]:
             raise ValueError(f"`state` must be an equilibrium of the membrane, but is {state!r}.")
-        told = np.isfinite(signs[:, i]).all() and abs(zeros[i] - grids[0][0][4][i]) < 2
+        if not (defect[i] < _EQUILIBRIUM and agreed[i] and np.isfinite(sign[i])):
+            found.append(Stability(None, ("unresolved",), *[np.nan] * 4))
+            continue
+        told = abs(zeros[i] - surveys[0][4][i]) < 2
         doubts = {
-            "no_tension": not tension[i] > 0,
-            "not_elliptic": not modulus[i] > 0,
+            "no_tension": tension[i] <= 0,
+            "not_elliptic": modulus[i] <= 0,
             "near_fold": bool(near[i] or coarse[i] != index[i]) and told,
             "unresolved": not told,
         }
@@ -229,19 +249,25 @@ def _curved(what, membrane: Membrane, states: list[State]) -> list[Stability]:
     return found
 
 
-def _index_and_signs(survey, q, by_p, by_v, charged: bool):
-    """The index, and the determinants (m, lanes) whose signs it rests on."""
-    _, _, charge, columns, zeros = survey[:5]
+def _index_and_sign(found, q, by_p, by_v, charged: bool):
+    """The index, the determinant (lanes,) whose sign it turns on, and the size of that determinant's terms.
+
+    Where a determinant of fewer constraints vanishes, zeros and corrections change together and the index does not.
+    """
+    _, _, charge, columns, zeros = found[:5]
     rim = columns[:, 0].copy()
     rim[0] += 1.0
-    a, b = rim[0], rim[1]
-    pair = columns[:, :2]
+    a, b, pair = rim[0], rim[1], columns[:, :2]
     index = index_under(zeros, a, pair, by_p, by_v)
-    signs = [a, _gain(a, b, pair, by_p, by_v)]
-    if charged:
-        condition = by_v * columns[:, 1]
-        condition[1] += by_p
-        along = np.cross(rim.T, condition.T).T
-        index = _under_charge(index, along, q, charge, columns[:, 2])
-        signs += [along[2], control_rate(q, along, charge, columns[:, 2])]
-    return index, np.stack(signs)
+    if not charged:
+        size = _gain(1 + np.abs(a), -np.abs(b), np.abs(pair), by_p, by_v)
+        return index, _gain(a, b, pair, by_p, by_v), size
+    condition = by_v * columns[:, 1]
+    condition[1] += by_p
+    along = np.cross(rim.T, condition.T).T
+    index = _under_charge(index, along, q, charge, columns[:, 2])
+    one, other = np.abs(rim), np.abs(condition)
+    one[0] += 1.0
+    most = np.stack([one[i] * other[j] + one[j] * other[i] for i, j in ((1, 2), (2, 0), (0, 1))])
+    size = control_rate(np.abs(q), most, charge, np.abs(columns[:, 2]))
+    return index, control_rate(q, along, charge, columns[:, 2]), size

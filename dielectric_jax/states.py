@@ -12,7 +12,7 @@ from .branches import cached_scan
 from .chart import map_nodes, stretch_shares
 from .equilibria import Points, polish
 from .loading import Chamber, ConstantPressure, ConstantVoltage, PrescribedVolume, mechanical
-from .materials import is_concrete, largest_load
+from .materials import capacitance, is_concrete, largest_load
 from .membrane import Membrane, require_float64
 from .records import State, voltage_of
 from .results import Code, SceneError, check_positive
@@ -22,9 +22,9 @@ from .surface import Surface
 
 __all__ = ["equilibrium", "filling", "flat_state", "states_of"]
 
-
 _MOST_ERROR = 1e-3  # the loosest tolerance: what is farther off is no state
 _FLATTEST = 4e-11  # of λa − λ0, and of λ0 − 1
+_WRINKLED = 1e-9  # hoop compression that is one: where it begins its sign is not told
 _CONE = 3e-4  # 1 − t up to which states are sought; folds towards the cone are a factor of 3.6 apart
 
 
@@ -67,18 +67,20 @@ def states_of(points: Points, tolerance: float) -> list[State]:
             index=int(points.index[i]) if points.index[i] >= 0 else None,
             error_estimate=float(points.error[i]),
             flags=("error_above_tolerance",) * (not points.error[i] <= tolerance)
-            + ("index_not_valid",) * bool(points.index[i] < 0),
+            + ("index_not_valid",) * bool(points.index[i] < 0)
+            + ("hoop_tension_lost",) * bool(points.hoop[i] < -_WRINKLED),
         )
         for i in range(len(points))
     ]
 
 
 def flat_state(membrane: Membrane, q: float) -> State:
-    """λ1 = λ2 = λ0, p = V = 0: charge π Φ λ0⁴."""
+    """λ1 = λ2 = λ0, p = V = 0: charge π Φ C(λ0, λ0), π Φ λ0⁴ where e = 1."""
     stretch = float(membrane.prestretch)
     phi = math.sqrt(q) if q >= 0 else math.nan
     ratio = phi * stretch**2 / float(membrane.breakdown.field(stretch)) if q >= 0 else math.nan
-    return State(q, 0.0, 0.0, stretch, 0.0, math.pi * phi * stretch**4, ratio, 0, 1e-13)
+    charge = math.pi * phi * float(capacitance(membrane.material, stretch, stretch))
+    return State(q, 0.0, 0.0, stretch, 0.0, charge, ratio, 0, 1e-13)
 
 
 def filling(scene: Scene, tolerance: float) -> tuple[float | None, float | None]:

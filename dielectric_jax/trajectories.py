@@ -70,7 +70,7 @@ def _states_program(material: AbstractMaterial, u, shares, radius, values, count
         l1, radius, theta, l2 = apex + y[0], y[1], y[2], apex - fall * xi**2
         rate1, rate2, bend = slopes(material, radius, l1, l2, theta, p, q)
         per_xi = -2 * fall * xi / rate2
-        return per_xi * state_rates(radius, l1, l2, theta, (rate1, jnp.ones_like(radius), bend))
+        return per_xi * state_rates(material, radius, l1, l2, theta, (rate1, jnp.ones_like(radius), bend))
 
     end = eighth_order_step(rates, begin, wanted - begin, start)
     rim = prestretch_at(apex, shares[:, None])

@@ -34,6 +34,14 @@ def test_the_estimates_of_a_few_states_are_honest(tmp_path):
     assert record["truth_against_scipy"]["largest_difference"] < 1e-9
 
 
+def test_the_indices_of_a_few_states_are_those_of_the_eigenvalues(tmp_path):
+    record, said = quick("stability.py", tmp_path)
+    counts = record["counts"]
+    assert counts["states"] == 40 and counts["valid"] > 200 and counts["wrong"] == counts["ritz_unsure"] == 0, said
+    assert counts["valid"] == counts["equal"] + counts["equal_on_finer"]
+    assert {"0", "1"} <= set(record["index"])
+
+
 def test_two_diagrams_agree_with_a_finer_scan(tmp_path):
     record, said = quick("agreement.py", tmp_path)
     assert record["counts"]["agreement"] == record["counts"]["scenes"] == 2, said

@@ -27,6 +27,8 @@ def test_a_described_scene_comes_back():
         dj.Chamber(volume=900.0, initial_pressure=1.2, atmospheric_pressure=20.0, polytropic_exponent=1.4),
     )
     assert dj.describe(dj.scene_of(dj.describe(scene))) == dj.describe(scene)
+    ogden = dj.Scene(dj.Membrane(dj.Ogden(moduli=(1.0, 0.1), exponents=(2.0, 4.0))), dj.ConstantPressure(1.0))
+    assert dj.describe(dj.scene_of(dj.describe(ogden))) == dj.describe(ogden)
     held = dj.Scene(dj.Membrane(dj.NeoHookean()), dj.ConstantPressure(1.5))
     assert dj.describe(dj.scene_of(dj.describe(held))) == dj.describe(held)
 
