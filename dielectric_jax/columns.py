@@ -116,9 +116,9 @@ _ERROR = "bound of the relative error |error|/max(|value|, 1e-3) of the volume a
 _SI = ("Pa", "m", "F m-1")
 #: attributes of the parameters as coordinates
 PARAMETER_ATTRIBUTES = {
-    "chamber_volume": ("volume of the closed chamber", "A^3"),
-    "initial_volume": ("volume below the membrane at zero voltage, the filling", "A^3"),
-    "initial_pressure": ("pressure at zero voltage, the filling", "mu H / A"),
+    "chamber_volume": ("volume of the chamber", "A^3"),
+    "initial_volume": ("filling of the chamber, as a volume", "A^3"),
+    "initial_pressure": ("filling of the chamber, as a pressure", "mu H / A"),
     "atmospheric_pressure": ("pressure outside", "mu H / A"),
     "polytropic_exponent": ("polytropic exponent of the gas", "1"),
     "pressure": ("constant pressure", "mu H / A"),
