@@ -12,8 +12,10 @@ from .scene import PARAMETERS, Scene
 
 __all__ = ["Axis", "Design", "read_scenes", "samples", "zipped"]
 
-#: parameters that may be zero; the others are positive, the prestretch at least 1
+#: parameters that may be zero, or anything; the others are positive, the prestretch at least 1
 _ZERO_ALLOWED = ("initial_volume", "initial_pressure", "pressure", "atmospheric_pressure")
+_ANY_ALLOWED = ("c1", "c2", "thickness_coefficient", "stretch_coefficient")
+_LISTS = ("moduli", "exponents")  # one scene's value is a list
 _METHODS = ("sobol", "latin_hypercube", "random")
 
 
@@ -21,17 +23,22 @@ def _checked(name: str, values) -> np.ndarray:
     """The values of a parameter as a column; raises ValueError for what no scene can have."""
     if name not in PARAMETERS:
         raise ValueError(f"`{name}` must be one of {', '.join(PARAMETERS)}, but is not a parameter of a scene.")
+    if name in _LISTS:
+        raise ValueError(f"`{name}` must not vary along an axis, because its value is a list.")
     try:
         column = np.atleast_1d(np.asarray(values, float))
     except (TypeError, ValueError):
         raise ValueError(f"`{name}` must be a list of numbers, but is {values!r}.") from None
     if column.ndim != 1 or not column.size:
         raise ValueError(f"`{name}` must be a list of at least one number, but has the shape {column.shape}.")
-    least = 1.0 if name == "prestretch" else 0.0
+    least = -np.inf if name in _ANY_ALLOWED else 1.0 if name == "prestretch" else 0.0
     allowed = np.isfinite(column) & ((column > least) | ((column == least) & (name in (*_ZERO_ALLOWED, "prestretch"))))
     if not allowed.all():
-        what = {"prestretch": "at least 1"}.get(name, "zero or positive" if name in _ZERO_ALLOWED else "positive")
-        raise ValueError(f"`{name}` must be {what} and finite, but one value is {float(column[~allowed][0])!r}.")
+        what = {"prestretch": "at least 1 and "}.get(
+            name, "zero or positive and " if name in _ZERO_ALLOWED else "positive and "
+        )
+        what = "" if name in _ANY_ALLOWED else what
+        raise ValueError(f"`{name}` must be {what}finite, but one value is {float(column[~allowed][0])!r}.")
     return column
 
 

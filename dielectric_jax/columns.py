@@ -102,9 +102,9 @@ _ERROR = "bound of the relative error |error|/max(|value|, 1e-3) of the volume a
 _SI = ("Pa", "m", "F m-1")
 #: attributes of the parameters as coordinates
 PARAMETER_ATTRIBUTES = {
-    "chamber_volume": ("volume of the closed chamber", "A^3"),
-    "initial_volume": ("volume below the membrane at zero voltage, the filling", "A^3"),
-    "initial_pressure": ("pressure at zero voltage, the filling", "mu H / A"),
+    "chamber_volume": ("volume of the chamber", "A^3"),
+    "initial_volume": ("filling of the chamber, as a volume", "A^3"),
+    "initial_pressure": ("filling of the chamber, as a pressure", "mu H / A"),
     "atmospheric_pressure": ("pressure outside", "mu H / A"),
     "polytropic_exponent": ("polytropic exponent of the gas", "1"),
     "pressure": ("constant pressure", "mu H / A"),
@@ -112,6 +112,10 @@ PARAMETER_ATTRIBUTES = {
     "breakdown_field_scale": ("factor of the breakdown field", "1"),
     "stretch_limit": ("limit J of the Gent material", "1"),
     "chain_links": ("links of a chain of the eight-chain material", "1"),
+    "c1": ("constant C1 of the Mooney-Rivlin material", "mu"),
+    "c2": ("constant C2 of the Mooney-Rivlin material", "mu"),
+    "thickness_coefficient": ("coefficient of the permittivity by the thickness", "1"),
+    "stretch_coefficient": ("coefficient of the permittivity by the stretches", "1"),
     "shear_modulus": ("shear modulus", "Pa"),
     "thickness": ("thickness of the undeformed film", "m"),
     "radius": ("radius of the undeformed membrane", "m"),

@@ -184,7 +184,7 @@ def _label(variable) -> str:
     unit = variable.attrs.get("counted_in", variable.attrs.get("units", "1"))
     plain = unit.replace("mu", "μ").replace("epsilon", "ε").replace("sqrt", "√").replace("^2", "²").replace("^3", "³")
     text = words[:1].upper() + words[1:]
-    return text if unit == "1" else f"{text} / ({plain})"
+    return text if unit == "1" else f"{text} / ({plain})" if " " in plain else f"{text} / {plain}"
 
 
 def export_sweep(data, path, *, variables: Sequence[str] | None = None) -> None:

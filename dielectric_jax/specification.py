@@ -7,6 +7,7 @@ import typing
 import numpy as np
 
 from .axes import Axis, axes_of, read_scenes, samples, zipped
+from .elastomers import MooneyRivlin, Ogden
 from .loading import Chamber, ConstantPressure
 from .materials import ArrudaBoyce, ConstantBreakdown, Gent, NeoHookean, VHBBreakdown
 from .membrane import Membrane
@@ -14,7 +15,14 @@ from .scene import PARAMETERS, Scene, Window
 
 __all__ = ["read_specification", "scene_of"]
 
-_MATERIALS = {"gent": Gent, "neo-hookean": NeoHookean, "arruda-boyce": ArrudaBoyce}
+_MATERIALS = {
+    "gent": Gent,
+    "neo-hookean": NeoHookean,
+    "arruda-boyce": ArrudaBoyce,
+    "mooney-rivlin": MooneyRivlin,
+    "ogden": Ogden,
+}
+_LISTS = ("moduli", "exponents")
 _PLACES = ("loading", "membrane", "breakdown", "material")
 _OPTIONS = {"engine": str, "resolve": bool, "curves": bool, "tolerance": float, "block": int}
 _TABLES = ("scene", "product", "zip", "samples", "table")
@@ -59,8 +67,12 @@ def scene_of(given: dict[str, typing.Any]) -> Scene:
     material = given.get("material", "gent")
     if material not in _MATERIALS:
         raise ValueError(f"`material` must be one of {', '.join(_MATERIALS)}, but is {material!r}.")
-    numbers = {n: _number("scene", n, v) for n, v in given.items() if n in PARAMETERS}
-    parts: dict[str, dict[str, float]] = {place: {} for place in _PLACES}
+    numbers = {
+        n: _values("scene", n, v) if n in _LISTS else _number("scene", n, v)
+        for n, v in given.items()
+        if n in PARAMETERS
+    }
+    parts: dict[str, dict[str, typing.Any]] = {place: {} for place in _PLACES}
     for name, value in numbers.items():
         parts[PARAMETERS[name][-2]][PARAMETERS[name][-1]] = value
     breakdown = given.get("breakdown", "vhb")

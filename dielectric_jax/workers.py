@@ -85,13 +85,18 @@ def _once(path, build):
         return build()
 
 
+def _numbers(what) -> tuple:
+    """What tells two membranes, or materials, apart."""
+    leaves, tree = jax.tree.flatten(what)
+    return tree, tuple(np.asarray(v, float).tobytes() for v in leaves)
+
+
 def surface_of(membrane: Membrane, tolerance: float, family: tuple[float, float] | None = None) -> Surface:
     """The surface of a membrane, kept in the process and, where the cache is on, in the cache folder.
 
     With `family` it is taken from the family of that range of prestretches.
     """
-    leaves, tree = jax.tree.flatten(membrane)
-    key = tree, tuple(float(v) for v in leaves), tolerance, family
+    key = (*_numbers(membrane), tolerance, family)
 
     def alone_built():
         path = Surface.path_of(membrane, tolerance)
@@ -99,8 +104,7 @@ def surface_of(membrane: Membrane, tolerance: float, family: tuple[float, float]
 
     def from_family():
         material, law, own = membrane.material, membrane.breakdown, typing.cast(tuple, family)
-        whole = jax.tree.flatten((material, law))
-        whole_key = whole[1], tuple(float(v) for v in whole[0]), tolerance, own, "family"
+        whole_key = (*_numbers((material, law)), tolerance, own, "family")
 
         def build():
             path = SurfaceFamily.path_of(material, own, law, tolerance)

@@ -89,6 +89,7 @@ def test_a_wrong_table_is_refused(tmp_path, text, said):
         (lambda: axes_of({"prestretch": [0.5]}), "`prestretch` must be at least 1"),
         (lambda: axes_of({"prestretch": [np.nan]}), "finite"),
         (lambda: axes_of({"prestretch": []}), "at least one number"),
+        (lambda: axes_of({"moduli": [1.0]}), "value is a list"),
         (lambda: axes_of({"prestretch": ["a"]}), "list of numbers"),
         (lambda: dj.zipped(prestretch=[1, 2], pressure=[1.0]), "one length"),
         (lambda: dj.zipped("no name", prestretch=[1, 2]), "`dimension`"),

@@ -204,13 +204,11 @@ def test_what_is_read_is_what_memory_would_hold(undisturbed, tmp_path):
     import zarr
 
     store = copied(undisturbed, tmp_path)
-    import shutil
-
     group = zarr.open_group(str(store), mode="r+", use_consolidated=False)
     group["block_done"][2] = False
     for name, array in group.arrays():
         if array.shape[:1] == (32,) and name not in memory.coords:
-            shutil.rmtree(store / name / "c/2") if array.ndim > 1 else (store / name / "c/2").unlink(missing_ok=True)
+            array[16:24] = array.fill_value
     data = dj.open_sweep(store)
     assert data.attrs["blocks_done"] == 3
     assert (data.outcome[16:24] == -1).all() and data.breakdown_voltage[16:24].isnull().all()
