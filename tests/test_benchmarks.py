@@ -185,3 +185,11 @@ def test_some_hard_scenes_are_counted(tmp_path):
     assert counts["scenes"] == sum(outcomes.values()) == 64 and counts["half_told"] == 0
     assert sample["counts"]["compared"] >= 2 and sample["counts"]["differing"] == 0, said
     assert sample["error"] < 1e-8 and ramps["error"] <= 1e-8
+
+
+def test_two_designs_are_no_worse_than_scans(tmp_path):
+    record, said = quick("design_problems.py", tmp_path)
+    assert len(record["problems"]) == 2 and record["good"], said
+    for problem in record["problems"].values():
+        assert problem["scan"]["designs"] >= 1000 and problem["active"] == ["survival_margin"]
+        assert 0 <= problem["scan"]["gain"] < 0.1
