@@ -16,14 +16,17 @@ from .chart import map_nodes
 from .materials import largest_load
 from .membrane import Membrane, field_ratio_squared
 from .regimes import Regime
+from .scene import SCANNED_LOAD
 
 __all__ = ["CoarseChart", "coarse_chart"]
 
 _ROWS, _LOADS = 260, 90  # nodes of the coarse chart
-_LINE = 1500  # places along a given load at which landings are sought
+_LINE, _FINE = 1500, 400  # places in the stretch and the load between which landings are sought
+_ROOT = np.sqrt(1.7)  # of 1 − t at the lowest load
 _TOP = 0.995  # its largest load fraction
 _STEPS = 128.0
 _BESIDE = 0.2  # of the stretch at a fold: nearer to it no landing is read from the coarse chart
+_PRESSURE = 1e3  # no state of the window comes near it
 _PROMINENCE = 2e-4  # of a maximum of q on the coarse chart, as a share
 
 
@@ -38,7 +41,8 @@ class CoarseChart:
     pressure: np.ndarray
     volume: np.ndarray
     breaks: np.ndarray
-    splines: tuple
+    line: tuple
+    fine: tuple
 
     def regime(self, given: dict, snap=None) -> Regime:
         """The regime of one loading by its contours on the grid, or only what follows a known `snap` (λa, q)."""
@@ -94,25 +98,22 @@ class CoarseChart:
         share = (wanted - values[i - 1]) / (values[i] - values[i - 1])
         return tuple(float(v[i - 1] + share * (v[i] - v[i - 1])) for v in (self.apex, self.pressure[:, j]))
 
-    def _read(self, apex, t) -> tuple[np.ndarray, np.ndarray]:
-        """p and V at places between the nodes."""
-        row = np.interp(apex, self.apex, np.arange(_ROWS))
-        column = np.interp(t, self.fraction, np.arange(_LOADS))
-        p, v = (spline.ev(row, column) for spline in self.splines)
-        return p, v
-
     def _after_snap(self, gas, apex: float, q: float):
         """What becomes of a snap from (λa, q): its regime, and the λa of an unbroken landing else None.
 
         At a given q the membrane grows while its pressure lacks behind the gas: it lands where that ends.
         """
+        line, limit = self.line
         # beside the fold, where the excess touches zero, its sign is noise
-        beyond = apex + _BESIDE * (apex - float(self.membrane.prestretch))
-        line = np.linspace(beyond, self.apex[-1], _LINE)
-        t = q / np.asarray(self.membrane.largest_load(line))
-        pressure, volume = self._read(line, t)
-        value = np.where(t <= self.fraction[-1], pressure - gas(volume), np.nan)
-        # beside the cone, t = 1, states are unstable: a change of sign across what the chart leaves out is no landing
+        first = int(np.searchsorted(line, apex + _BESIDE * (apex - float(self.membrane.prestretch))))
+        line, t = line[first:], q / limit[first:]
+        column = (_ROOT - np.sqrt(np.maximum(1 - t, 0.0))) / (_ROOT - np.sqrt(1 - _TOP)) * (_FINE - 1)
+        j = np.clip(column.astype(int), 0, _FINE - 2)
+        rows, share = np.arange(first, _LINE), column - j
+        pressure, volume = (f[rows, j] + share * (f[rows, j + 1] - f[rows, j]) for f in self.fine)
+        value = np.where(t <= SCANNED_LOAD + 0.02, pressure - gas(volume), np.nan)
+        value = _cut(value, t)
+        # beyond the scanned window, towards the cone, states are unstable and the chart is vague
         with np.errstate(invalid="ignore"):
             lands = np.flatnonzero((value[:-1] < 0) & (value[1:] >= 0)) + 1
         if not len(lands):
@@ -132,19 +133,47 @@ def coarse_chart(key: ByLeaves) -> CoarseChart:
     rim, high = float(membrane.prestretch), membrane.lock_up_stretch()[0]
     apex = rim + (high - rim) * np.linspace(0.02, 1.0, _ROWS) ** 2
     # even in the root of 1 − t, with zero among them
-    roots = np.linspace(np.sqrt(1.7), np.sqrt(1 - _TOP), _LOADS)
+    roots = np.linspace(_ROOT, np.sqrt(1 - _TOP), _LOADS)
     fraction = 1 - roots**2
     fraction[np.argmin(np.abs(fraction))] = 0.0
     grid = np.meshgrid(apex, fraction, indexing="ij")
     p, v, slope = map_nodes(membrane.material, grid[0].ravel(), grid[1].ravel(), rim, _STEPS)
-    good = (slope < 0) & np.isfinite(p) & np.isfinite(v)
+    # no membrane of this stretch encloses more than a sphere of it
+    with np.errstate(invalid="ignore"):
+        good = (slope < 0) & (p > 0) & (p < _PRESSURE) & (v > 0) & (v < 4.2 * high**3)
     p, v = (np.where(good, values, np.nan).reshape(grid[0].shape) for values in (p, v))
     limit = np.asarray(largest_load(membrane.material, apex))
     breaks = 1 / np.asarray(field_ratio_squared(membrane.breakdown, apex, apex))
-    nodes = np.arange(_ROWS), np.arange(_LOADS)
-    whole = [np.where(np.isfinite(f), f, np.nan_to_num(np.nanmean(f, axis=0))) for f in (p, v)]
-    splines = tuple(RectBivariateSpline(*nodes, f) for f in whole)
-    return CoarseChart(membrane, apex, fraction, limit, p, v, breaks, splines)
+    # splines in the variables in which the nodes are even
+    place, depth = np.sqrt((apex - rim) / (high - rim)), -np.sqrt(1 - fraction)
+    whole = [_completed(f) for f in (p, v)]
+    line = np.linspace(apex[0], apex[-1], _LINE)
+    even = np.linspace(-_ROOT, -np.sqrt(1 - _TOP), _FINE), np.sqrt((line - rim) / (high - rim))
+    fine = tuple(RectBivariateSpline(place, depth, f)(even[1], even[0]) for f in whole)
+    limits = line, np.asarray(largest_load(membrane.material, line))
+    return CoarseChart(membrane, apex, fraction, limit, p, v, breaks, limits, fine)
+
+
+def _completed(field: np.ndarray) -> np.ndarray:
+    """The field with the few nodes that the map did not reach, beside the cone, from their neighbours in the stretch."""
+    filled = field.copy()
+    nodes = np.arange(len(field))
+    for column in filled.T:
+        there = np.isfinite(column)
+        column[~there] = np.interp(nodes[~there], nodes[there], column[there])
+    return filled
+
+
+def _cut(value: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Values along a line within the scanned window; those next to its edge are the values on the edge itself."""
+    inside = t <= SCANNED_LOAD
+    cut = np.where(inside, value, np.nan)
+    for step in (1, -1):
+        edge = np.flatnonzero(inside & ~np.roll(inside, -step))
+        edge = edge[(edge + step >= 0) & (edge + step < len(t))]
+        share = (SCANNED_LOAD - t[edge]) / (t[edge + step] - t[edge])
+        cut[edge + step] = value[edge] + share * (value[edge + step] - value[edge])
+    return cut
 
 
 class _Lines:

@@ -190,7 +190,7 @@ def solve_on_sheet(
             size = np.abs(move).max(axis=1)
             move *= np.minimum(1.0, 0.3 / np.maximum(size, 1e-300))[:, None]
         u = u + move * scale
-        if not np.any(size > 1e-13):
+        if not np.any(size > 1e-8):  # what is left is its square
             break
     value, jacobian = _evaluated(equations, points, sheet, scene, names, u, begin, end, lanes)
     by_u, by_theta = jacobian[..., :unknowns], jacobian[..., unknowns:]

@@ -223,3 +223,11 @@ def test_fold_curves_and_their_known_numbers(tmp_path):
     volumes, folds, _ = record["curves"]["chamber_volume"]
     counts = [sum(v is not None for v in row) for row in folds]
     assert all(count >= 2 for v, count in zip(volumes, counts, strict=True) if v > 600)
+
+
+def test_two_designs_are_no_worse_than_scans(tmp_path):
+    record, said = quick("design_problems.py", tmp_path)
+    assert len(record["problems"]) == 2 and record["good"], said
+    for problem in record["problems"].values():
+        assert problem["scan"]["designs"] >= 1000 and problem["active"] == ["survival_margin"]
+        assert 0 <= problem["scan"]["gain"] < 0.1
