@@ -60,13 +60,27 @@ _ROOMS = {
         "snap_point",
         "snap_voltage",
     ),
+    "measurements": ("read_measurement",),
+    "calibration": ("Calibration", "calibrate"),
     "axes": ("Axis", "read_scenes", "samples", "zipped"),
-    "columns": ("Answer", "Regime"),
+    "columns": ("Answer",),
     "sweeps": ("open_sweep", "sweep"),
     "specification": ("read_specification", "scene_of"),
     "reading": ("best_designs", "compare_sweeps", "count_sweep", "export_sweep", "plot_sweep", "select_regime"),
-    "measurements": ("read_measurement",),
-    "calibration": ("Calibration", "calibrate"),
+    "turning_points": (
+        "bistability_onset",
+        "bistability_point",
+        "cusp",
+        "pressure_cusp",
+        "pressure_peak",
+        "pressure_valley",
+        "zero_voltage_point",
+    ),
+    "regimes": ("Regime", "regime_of"),
+    "designs": ("Designs", "classify_designs"),
+    "regime_maps": ("Boundary", "RegimeEdge", "RegimeMap", "regime_edges", "regime_map"),
+    "regime_plots": ("plot_regime_map",),
+    "design": ("Design", "maximise_area_strain"),
     "cache": ("enable_compilation_cache",),
 }
 _HOME = {name: room for room, names in _ROOMS.items() for name in names}
@@ -80,7 +94,7 @@ if typing.TYPE_CHECKING:
     from .cache import enable_compilation_cache
     from .calibration import Calibration, calibrate
     from .chart import explicit_map
-    from .columns import Answer, Regime
+    from .columns import Answer
     from .continuation import Problem, Steps, Trace, trace
     from .critical_points import (
         CriticalPoint,
@@ -93,6 +107,8 @@ if typing.TYPE_CHECKING:
         snap_point,
         snap_voltage,
     )
+    from .design import Design, maximise_area_strain
+    from .designs import Designs, classify_designs
     from .diagram import Diagram, pressure_volume, voltage_volume
     from .elastomers import CustomPermittivity, Electrostrictive, MooneyRivlin, Ogden
     from .ensemble import (
@@ -127,6 +143,9 @@ if typing.TYPE_CHECKING:
     from .profiles import energy, profile, scaling_defect
     from .reading import best_designs, compare_sweeps, count_sweep, export_sweep, plot_sweep, select_regime
     from .records import Branch, Event, Ramp, SpecialPoint, State
+    from .regime_maps import Boundary, RegimeEdge, RegimeMap, regime_edges, regime_map
+    from .regime_plots import plot_regime_map
+    from .regimes import Regime, regime_of
     from .results import Code, SceneError
     from .scene import PARAMETERS, Scene, Window, describe
     from .shooting import shoot
@@ -135,6 +154,15 @@ if typing.TYPE_CHECKING:
     from .states import equilibrium
     from .surface import SheetState, Surface
     from .sweeps import open_sweep, sweep
+    from .turning_points import (
+        bistability_onset,
+        bistability_point,
+        cusp,
+        pressure_cusp,
+        pressure_peak,
+        pressure_valley,
+        zero_voltage_point,
+    )
     from .units import VHB_4910, Units
 
 

@@ -112,6 +112,7 @@ def _number(check: Callable[[float], bool], what: str) -> Callable[[str], float]
 _finite = _number(lambda v: True, "a finite number")
 _positive = _number(lambda v: v > 0, "a positive finite number")
 _not_negative = _number(lambda v: v >= 0, "zero or a positive finite number")
+_share = _number(lambda v: 0 < v < 1, "a number between 0 and 1")
 _prestretch = _number(lambda v: v >= 1, "a finite number of at least 1")
 
 
@@ -226,6 +227,22 @@ def _parser() -> _Parser:
     many.add_argument(
         "--json", metavar="FILE|-", help="write a summary as JSON to a file, or to standard output with -"
     )
+
+    fit = commands.add_parser(
+        "calibrate", parents=[common], help="constants of a measured pressure–volume curve", description=_DESCRIPTION
+    )
+    fit.add_argument("data", metavar="DATA.csv", help="columns volume and pressure; with units in the first line --si")
+    fit.add_argument("--voltage", type=_not_negative, default=0.0, metavar="PHI", help="voltage of the measurement (0)")
+    fit.add_argument("--over", nargs="+", metavar="NAME", help="constants sought (those of the material, and μ in SI)")
+    fit.add_argument("--loss", choices=["linear", "huber", "soft_l1"], default="linear", help="of residuals (linear)")
+    fit.add_argument("--noise", type=_positive, metavar="P", help="standard deviation of a pressure (from residuals)")
+    fit.add_argument("--level", type=_share, default=0.95, metavar="P", help="of the confidence intervals (0.95)")
+
+    for name, what in (("regimes", "a map of two parameters"), ("optimise", "the design of largest area strain")):
+        asked = commands.add_parser(name, help=what, description=_DESCRIPTION)
+        asked.add_argument("specification", metavar="SPEC.toml", help="scene, ranges and wishes")
+        asked.add_argument("--json", metavar="FILE|-", help="write JSON to a file, or to standard output with -")
+        asked.add_argument("--figure", metavar="FILE", help=f"draw a figure ({', '.join(_FIGURE_SUFFIXES)})")
     return parser
 
 
@@ -243,8 +260,9 @@ def _check(args: argparse.Namespace) -> None:
     if args.command == "paper":
         _check_folder("--output", args.output)
         return
-    if args.json is not None and args.json != "-":
-        _check_file("--json", args.json)
+    _check_files(args)
+    if args.command in ("regimes", "optimise"):
+        return
     if args.command == "sweep":
         _check_sweep(args)
         return
@@ -276,7 +294,13 @@ def _check(args: argparse.Namespace) -> None:
             raise BadInput("--engine must be continuation with --control charge, but is surface.")
     if args.command == "equilibrium" and args.points is not None and args.figure is None:
         raise BadInput("--points must be given with --figure only for equilibrium, because a state has no branch.")
-    if args.figure is not None:
+
+
+def _check_files(args: argparse.Namespace) -> None:
+    """Refuses files that cannot be written."""
+    if args.json is not None and args.json != "-":
+        _check_file("--json", args.json)
+    if getattr(args, "figure", None) is not None:
         _check_file("--figure", args.figure)
         if Path(args.figure).suffix[1:].lower() not in _FIGURE_SUFFIXES:
             raise BadInput(
@@ -320,6 +344,7 @@ def option_names(message: str, args: argparse.Namespace) -> str:
         "field": "--breakdown",
         "constant_field": "--breakdown",
         "SPEC": "SPEC.toml",
+        "data": "DATA.csv",
         "executor": "--workers or --scheduler",
     }
     if getattr(args, "apex_stretch", None) is None:

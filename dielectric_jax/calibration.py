@@ -101,7 +101,7 @@ class Calibration:
 
 def _logs(above, material, prestretch, q):
     """log V and log p at λa = λ0 + e^above, elementwise."""
-    p, v, _ = explicit_map(material, prestretch + jnp.exp(above), q, prestretch, _STEPS)
+    p, v = explicit_map(material, prestretch + jnp.exp(above), q, prestretch, _STEPS)[:2]
     return jnp.stack([jnp.log(v), jnp.log(p)])
 
 
@@ -129,7 +129,7 @@ def _pressures(material, prestretch, volume, q, near):
 
     def newton(state):
         above, _, k, _ = state
-        value, slope = jax.jvp(lambda x: _logs(x, *frozen), (above,), (jnp.ones_like(above),))
+        value, slope = jax.jvp(lambda x: _logs(x, *frozen), (above,), (jnp.ones_like(above),))[:2]
         move = jnp.clip((goal - value[0]) / slope[0], -0.5, 0.5)
         return above + move, slope, k + 1, jnp.max(jnp.abs(move))
 
@@ -195,7 +195,7 @@ def _minimum(model: Callable, free: np.ndarray, pressure: np.ndarray, loss: str,
     found = least_squares(
         lambda x: at(x)["residual"],
         free,
-        jac=lambda x: at(x)["jacobian"],
+        jac=lambda x: at(x)["jacobian"],  # pyright: ignore[reportArgumentType]
         loss=loss,
         f_scale=_HUBER if loss == "huber" else 1.0,
         x_scale="jac",

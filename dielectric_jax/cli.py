@@ -24,7 +24,8 @@ from .arguments import (
     option_names,
     read_arguments,
 )
-from .results import Code, SceneError, StoreError, WorkersLost
+from .results import SceneError, StoreError, WorkersLost
+from .summaries import summary
 
 __all__ = ["main"]
 
@@ -179,98 +180,49 @@ def _run_sweep(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], An
     return dj.count_sweep(data) | {"seconds": seconds, "store": args.output}, lambda: None
 
 
+def _run_regimes(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
+    from .design_files import read_design_file
+
+    scene, over, options = read_design_file(args.specification, "regimes")
+    _say("regimes …")
+    found = dj.regime_map(scene, over, **options)
+    return found.to_json(), lambda: found.plot().figure
+
+
+def _run_optimise(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
+    from .design_files import read_design_file
+
+    scene, over, options = read_design_file(args.specification, "optimise")
+    _say("design …")
+    found = dj.maximise_area_strain(scene, over, **options)
+
+    def draw() -> Any:
+        return (found.diagram or dj.voltage_volume(found.scene)).plot()
+
+    return found.to_json(), draw
+
+
+def _run_calibrate(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
+    volume, pressure, in_si = dj.read_measurement(args.data)
+    if in_si and args.units is None:
+        raise ValueError(f"--si must be given with a DATA.csv that names units, but is not with {args.data}.")
+    # of a measurement the voltage and the noise stay in the units of the pressures
+    voltage = args.voltage if args.units is None else args.units.to_si(args.voltage, "voltage")
+    asked = {n: getattr(args, n) for n in ("over", "loss", "noise", "level")}
+    found = dj.calibrate(volume, pressure, membrane=_membrane(dj, args), units=args.units, voltage=voltage, **asked)
+    args.units = None  # the document is in SI already
+    return {"scene": dj.describe(found.membrane), **found.to_json()}, found.plot
+
+
 _COMMANDS = {
+    "calibrate": _run_calibrate,
     "sweep": _run_sweep,
+    "regimes": _run_regimes,
+    "optimise": _run_optimise,
     "equilibrium": _run_equilibrium,
     "pressure-volume": _run_pressure_volume,
     "voltage-volume": _run_voltage_volume,
 }
-
-
-def _number_text(value: Any) -> str:
-    if value is None:
-        return "–"
-    return f"{value:.10g}" if isinstance(value, float) else str(value)
-
-
-def _table(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    """Columns under their names, as wide as they need to be."""
-    cells = [list(header), *([_number_text(v) for v in row] for row in rows)]
-    widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
-    return "\n".join("  " + "  ".join(c.ljust(w) for c, w in zip(r, widths, strict=True)).rstrip() for r in cells)
-
-
-def _range(values: Sequence[float | None]) -> str:
-    known = [v for v in values if v is not None]
-    return f"{min(known):.6g} to {max(known):.6g}" if known else "–"
-
-
-def _summary(document: dict) -> str:
-    """A readable summary of a JSON document of this program."""
-    if "store" in document:
-        counts = [[name, code, n] for name in ("outcome", "regime") for code, n in document[name].items()]
-        title = f"{document['scenes']} scenes in {document['store']}, {document['seconds']:.1f} s"
-        return "\n".join([title, _table(("variable", "code", "scenes"), counts)])
-    if "diagrams" in document:
-        return "\n\n".join(_summary(d) for d in document["diagrams"])
-    units = document.get("unit_names", {})
-    scene = ", ".join(
-        f"{k} {_number_text(v)}{_unit_of(k, units) if isinstance(v, float) else ''}"
-        for k, v in document["scene"].items()
-        if v is not None
-    )
-    lines = [f"scene: {scene} ({document['units']})"]
-    if "states" in document:
-        return "\n".join([*lines, *_state_lines("states", document["states"], (), units)])
-    complete = "yes" if document["complete"] else "no, scan and engine disagree"
-    lines.append(f"engine: {document['engine']}, tolerance {document['tolerance']:g}, complete: {complete}")
-    lines += _branch_lines(document["branches"], units)
-    if document["special_points"]:
-        lines += _state_lines("special points", document["special_points"], ("kind", "branch"), units)
-    if document["ramp"]:
-        charge = ("charge",) if "charge" in document["ramp"][0] else ()
-        names = (
-            "event",
-            "direction",
-            "voltage",
-            *charge,
-            "pressure",
-            "volume",
-            "apex_stretch",
-            "breakdown_ratio",
-            "reason",
-        )
-        lines += ["", "ramp", _table(_heads(names, units), [[e[n] for n in names] for e in document["ramp"]])]
-    if document["area_strain_reason"] is not None:
-        lines += ["", f"area strain: {_number_text(document['area_strain'])} ({document['area_strain_reason']})"]
-    return "\n".join(lines)
-
-
-def _unit_of(name: str, units: dict[str, str]) -> str:
-    return f" {units[name]}" if name in units else ""
-
-
-def _heads(names: Sequence[str], units: dict[str, str]) -> list[str]:
-    """Column heads: the names, with their units where they have one."""
-    return [name.replace("_", " ") + (f" [{units[name]}]" if name in units else "") for name in names]
-
-
-def _branch_lines(branches: Sequence[dict], units: dict[str, str]) -> list[str]:
-    names = ("voltage_squared", "pressure", "volume", "apex_stretch")
-    header = ["branch", "points", *_heads(names, units), "from", "to", "flags"]
-    rows = [
-        [i, len(b["volume"]), *(_range(b[n]) for n in names), b["start"], b["end"], ", ".join(b["flags"]) or None]
-        for i, b in enumerate(branches)
-    ]
-    codes = dict.fromkeys(code for b in branches for code in (b["start"], b["end"]))
-    sentences = [f"  {code}: {Code[code].sentence}" for code in codes]
-    return ["", "branches", _table(header, rows), *sentences]
-
-
-def _state_lines(title: str, states: Sequence[dict], leading: Sequence[str], units: dict[str, str]) -> list[str]:
-    names = (*leading, "voltage", "pressure", "volume", "apex_stretch", "breakdown_ratio", "index")
-    rows = [[*(s[n] for n in names), f"{s['error_estimate']:.1e}", ", ".join(s["flags"]) or None] for s in states]
-    return ["", title, _table([*_heads(names, units), "error", "flags"], rows)]
 
 
 def _in_units(document: dict, units: Any, *, read: bool = False) -> dict:
@@ -299,7 +251,7 @@ def _write(document: dict, draw: Callable[[], Any], args: argparse.Namespace) ->
         draw().savefig(figure, dpi=150)
         _say(f"wrote {figure}")
     if args.json is None and figure is None:
-        print(_summary(_in_units(document, args.units, read=True)), flush=True)
+        print(summary(_in_units(document, args.units, read=True)), flush=True)
 
 
 def _run_paper(args: argparse.Namespace) -> None:
@@ -329,7 +281,7 @@ def _answer(args: argparse.Namespace) -> None:
     if getattr(args, "points", 0) is None:
         args.points = 256
     try:
-        args.units = _units(dj, args)
+        args.units = _units(dj, args) if hasattr(args, "si") else None
         document, draw = _COMMANDS[args.command](dj, args)
     except (ValueError, ImportError, StoreError) as error:
         raise BadInput(option_names(str(error), args)) from error

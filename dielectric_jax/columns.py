@@ -13,12 +13,12 @@ import numpy as np
 from .diagram import Diagram
 from .ensemble import Outcome, Ramps, ramps_of
 from .records import State
+from .regimes import Regime
 from .results import Code
 
 __all__ = [
     "PARAMETER_ATTRIBUTES",
     "Answer",
-    "Regime",
     "Variable",
     "answers_of",
     "empty_answer",
@@ -27,20 +27,6 @@ __all__ = [
 ]
 
 CURVE_POINTS = 256
-
-
-class Regime(enum.IntEnum):
-    """What a slow ramp of the voltage does; the regimes exclude each other."""
-
-    undetermined = 0
-    start_unstable = 1
-    no_snap = 2
-    breaks_before_snap = 3
-    no_landing = 4
-    breaks_in_snap = 5
-    no_unbroken_landing = 6  # one of the two before; the engine does not tell which
-    stays = 7
-    returns = 8
 
 
 class Answer(enum.IntEnum):

@@ -5,7 +5,9 @@ jacobian, hessian and vmap work, also under jit. Outside transformations a point
 inside, or with `throw=False`, its numbers are NaN and its `code` says why.
 """
 
+import math
 import typing
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -14,7 +16,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .batch import ByLeaves
+from .engines import AbstractEngine, ByShooting, OnSheet
 from .equilibria import difficulty, largest_on, locking_stretch
+from .leaves import Scenes
 from .loading import Chamber, ConstantPressure, ConstantVoltage
 from .materials import is_concrete
 from .membrane import field_ratio_squared
@@ -24,17 +28,14 @@ from .points import (
     LEVEL,
     PRESSURE,
     VOLUME,
-    AbstractEngine,
-    ByShooting,
     Conditions,
-    OnSheet,
     Solution,
     attach,
     attach_free,
 )
 from .results import Code, SceneError
 from .scene import Scene
-from .searches import Scenes, first_folds, first_folds_on_surface, ramp_events
+from .searches import first_folds, first_folds_on_surface, guarded, ramp_events
 from .states import filling
 from .surface import Surface
 
@@ -56,7 +57,8 @@ _STEPS = np.array([48.0, 144.0, 240.0])  # of shots for derivatives, by the diff
 class CriticalPoint(eqx.Module):
     """A critical point, dimensionless; NaN where there is none, and then `code`, an integer of `Code`, says why.
 
-    `error_estimate` is that of the search: of the located load, or of p, V and q.
+    `error_estimate` is that of the search: of the located quantity, or of p, V and q. `parameter` is the value of the
+    parameter that a cusp, or the onset of bistability, is a point of.
     """
 
     apex_stretch: Float[Array, ""]
@@ -66,6 +68,7 @@ class CriticalPoint(eqx.Module):
     breakdown_ratio: Float[Array, ""]
     error_estimate: Float[Array, ""]
     code: Int[Array, ""]
+    parameter: typing.Any = math.nan
 
     @property
     def voltage(self):
@@ -85,28 +88,33 @@ def _root(q):
     return jnp.where(positive, root, jnp.where(q == 0, 0.0, jnp.nan))
 
 
-def _host(names: tuple, tree, surface: Surface | None):
-    """The search as a function of the leaves of scenes, arrays of one shape: (…, names, 7)."""
+def _host(names: tuple, tree, shapes: list, surface: Surface | None, one: Callable | None):
+    """The search as a function of the leaves of scenes, of the given shapes and common axes before: (…, names, 8).
+
+    Rows hold λa, p, q, V, error, code, steps of a shot that resolves the state, and a free parameter. `one` searches a
+    single scene; without it the events of ramps are looked for.
+    """
 
     def search(*leaves):
-        columns = np.broadcast_arrays(*(np.asarray(v, float) for v in leaves))
-        shape = columns[0].shape
-        rows = np.stack([c.ravel() for c in columns], axis=1)
-        out = np.full((len(rows), len(names), 7), np.nan)
+        scenes, shape = Scenes.of(tree, shapes, leaves)
+        out = np.full((len(scenes), len(names), 8), np.nan)
         out[..., 6] = _STEPS[0]
-        scenes = Scenes(tree, rows)
         out[..., 5] = scenes.admissible(surface)[:, None]
         good = np.flatnonzero(out[:, 0, 5] == int(Code.ok))
         if len(good):
             scenes = scenes[good]
-            if not set(names) <= {"start", "snap"}:
+            table: dict = {}
+            if one is not None:
+                for i, scene in zip(good, scenes, strict=True):
+                    out[i][:, [0, 1, 2, 3, 4, 5, 7]] = guarded(one, scene, len(names), 7)
+            elif not set(names) <= {"start", "snap"}:
                 table = ramp_events(scenes, surface)
             else:
                 table = first_folds(scenes) if surface is None else first_folds_on_surface(scenes, surface)
-            for k, name in enumerate(names):
+            for k, name in enumerate(names) if one is None else ():
                 out[good, k, :6] = table[name]
             out[good, :, 6] = _steps(scenes, out[good], surface)
-        return out.reshape((*shape, len(names), 7))
+        return out.reshape((*shape, len(names), 8))
 
     return search
 
@@ -126,7 +134,7 @@ def _steps(scenes: Scenes, found, surface: Surface | None) -> np.ndarray:
     return steps
 
 
-class _Found(typing.NamedTuple):
+class Found(typing.NamedTuple):
     """What a search gave for one event: its state, the error and code, the steps that resolve it."""
 
     state: Solution
@@ -135,7 +143,7 @@ class _Found(typing.NamedTuple):
     steps: typing.Any
 
 
-def _check(scene: Scene, surface) -> None:
+def check(scene: Scene, surface) -> None:
     if not isinstance(scene, Scene):
         raise ValueError(f"`scene` must be a Scene, but is a {type(scene).__name__}.")
     if isinstance(scene.loading, ConstantVoltage) or not isinstance(scene.loading, (Chamber, ConstantPressure)):
@@ -149,29 +157,28 @@ def _inside(tree) -> bool:
     return not all(is_concrete(leaf) for leaf in jax.tree.leaves(tree))
 
 
-def _find(names: tuple, scene: Scene, surface: Surface | None) -> dict[str, _Found]:
-    """The named events of a scene: numbers without derivatives."""
-    _check(scene, surface)
+def find(names: tuple, scene: Scene, surface: Surface | None, one: Callable | None = None) -> dict[str, Found]:
+    """The named points of a scene: numbers without derivatives; see `_host`."""
     leaves, tree = jax.tree.flatten(scene)
     leaves = [jax.lax.stop_gradient(leaf) if not is_concrete(leaf) else leaf for leaf in leaves]
-    search = _host(names, tree, surface)
+    search = _host(names, tree, [np.shape(leaf) for leaf in leaves], surface, one)
     if _inside(leaves):
-        shape = jax.ShapeDtypeStruct((len(names), 7), jnp.result_type(float))
+        shape = jax.ShapeDtypeStruct((len(names), 8), jnp.result_type(float))
         table = jax.pure_callback(search, shape, *leaves, vmap_method="broadcast_all")
     else:
         table = search(*leaves)
     found = {}
     for k, name in enumerate(names):
-        apex, p, q, volume, error, code, steps = (jnp.asarray(table[k, i]) for i in range(7))
-        found[name] = _Found(Solution(apex, p, q, volume), error, code.astype(int), steps)
+        apex, p, q, volume, error, code, steps, free = (jnp.asarray(table[k, i]) for i in range(8))
+        found[name] = Found(Solution(apex, p, q, volume, free), error, code.astype(int), steps)
     return found
 
 
-def _engine(surface: Surface | None, steps) -> AbstractEngine:
+def engine_of(surface: Surface | None, steps) -> AbstractEngine:
     return ByShooting(steps) if surface is None else OnSheet(surface, steps)
 
 
-def _start(scene: Scene, found: _Found, surface) -> tuple[Solution, Conditions]:
+def start_of(scene: Scene, found: Found, surface) -> tuple[Solution, Conditions]:
     """The state at zero voltage, and the loading's conditions with the filling of a chamber."""
     loading = scene.loading
     if isinstance(loading, ConstantPressure):
@@ -181,14 +188,14 @@ def _start(scene: Scene, found: _Found, surface) -> tuple[Solution, Conditions]:
         by_volume = loading.initial_volume is not None
         kind, target = (VOLUME, loading.initial_volume) if by_volume else (PRESSURE, loading.initial_pressure)
     held = Conditions(scene.membrane, ConstantVoltage(0.0).contour(), target)
-    state = attach(found.state, held, kind, _engine(surface, found.steps))
+    state = attach(found.state, held, kind, engine_of(surface, found.steps))
     if isinstance(loading, ConstantPressure):
         return state, Conditions(scene.membrane, loading.contour())
     filled = (state.pressure, target) if kind == VOLUME else (target, state.volume)
     return state, Conditions(scene.membrane, loading.contour(*filled))
 
 
-def _raise_if_none(scene: Scene, found: _Found, throw: bool) -> None:
+def raise_if_none(scene: Scene, found: Found, throw: bool) -> None:
     """Raises what there is to say of a point that does not exist, outside transformations."""
     if not throw or _inside((scene, found.code)):
         return
@@ -199,31 +206,34 @@ def _raise_if_none(scene: Scene, found: _Found, throw: bool) -> None:
         raise SceneError(code)
 
 
-def _point(scene: Scene, found: _Found, state: Solution, throw: bool) -> CriticalPoint:
-    _raise_if_none(scene, found, throw)
+def point_of(scene: Scene, found: Found, state: Solution, throw: bool) -> CriticalPoint:
+    raise_if_none(scene, found, throw)
     ok = found.code == int(Code.ok)
     apex, p, q, volume = (jnp.where(ok, v, jnp.nan) for v in state[:4])
     ratio = _root(q * field_ratio_squared(scene.membrane.breakdown, apex, apex))
-    return CriticalPoint(apex, p, q, volume, ratio, jnp.where(ok, found.error, jnp.nan), found.code)
+    numbers = apex, p, q, volume, ratio, jnp.where(ok, found.error, jnp.nan), found.code
+    return CriticalPoint(*numbers, parameter=jnp.where(ok, state.free, jnp.nan))
 
 
 def _fold(scene: Scene, name: str, surface, throw: bool) -> CriticalPoint:
-    found = _find(("start", name), scene, surface)
-    _, theta = _start(scene, found["start"], surface)
+    check(scene, surface)
+    found = find(("start", name), scene, surface)
+    _, theta = start_of(scene, found["start"], surface)
     of = found[name]
-    engine = _engine(surface, of.steps)
+    engine = engine_of(surface, of.steps)
     state = attach(of.state, theta, FOLD, engine)
     # the load by first derivatives alone
     state = state._replace(voltage_squared=attach_free(of.state.voltage_squared, of.state, theta, engine))
-    return _point(scene, of, state, throw)
+    return point_of(scene, of, state, throw)
 
 
 def _fold_voltage(scene: Scene, name: str, surface):
-    found = _find(("start", name), scene, surface)
+    check(scene, surface)
+    found = find(("start", name), scene, surface)
     of = found[name]
-    _raise_if_none(scene, of, True)
-    _, theta = _start(scene, found["start"], surface)
-    load = attach_free(of.state.voltage_squared, of.state, theta, _engine(surface, of.steps))
+    raise_if_none(scene, of, True)
+    _, theta = start_of(scene, found["start"], surface)
+    load = attach_free(of.state.voltage_squared, of.state, theta, engine_of(surface, of.steps))
     return _root(jnp.where(of.code == int(Code.ok), load, jnp.nan))
 
 
@@ -266,17 +276,18 @@ def landing_point(scene: Scene, *, surface: Surface | None = None, throw: bool =
 
     Its load moves with the snap, so its state too. It jumps where another state becomes the nearest stable one.
     """
-    found = _find(("start", "snap", "landing"), scene, surface)
-    _, theta = _start(scene, found["start"], surface)
+    check(scene, surface)
+    found = find(("start", "snap", "landing"), scene, surface)
+    _, theta = start_of(scene, found["start"], surface)
     state = _landing(theta, found, surface)
-    return _point(scene, found["landing"], state, throw)
+    return point_of(scene, found["landing"], state, throw)
 
 
 def _landing(theta: Conditions, found, surface) -> Solution:
     snap, landing = found["snap"], found["landing"]
-    load = attach_free(snap.state.voltage_squared, snap.state, theta, _engine(surface, snap.steps))
+    load = attach_free(snap.state.voltage_squared, snap.state, theta, engine_of(surface, snap.steps))
     at = eqx.tree_at(lambda c: c.target, theta, load)
-    return attach(landing.state, at, LEVEL, _engine(surface, landing.steps))
+    return attach(landing.state, at, LEVEL, engine_of(surface, landing.steps))
 
 
 def _select(choice, one: Solution, other: Solution) -> Solution:
@@ -290,7 +301,7 @@ def _breakdown(theta: Conditions, found, surface) -> Solution:
     """
     broken = found["breakdown"]
     in_snap = _in_snap(found)
-    engine = _engine(surface, broken.steps)
+    engine = engine_of(surface, broken.steps)
     on_branch = attach(broken.state, theta, BREAKDOWN, engine)
     snap = found["snap"]._replace(state=_select(in_snap, found["snap"].state, broken.state))
     landed = _landing(theta, {"snap": snap, "landing": broken}, surface)
@@ -305,9 +316,10 @@ def _in_snap(found):
 
 def breakdown_point(scene: Scene, *, surface: Surface | None = None, throw: bool = True) -> CriticalPoint:
     """The state at which the ramp up breaks down: on the branch, where E/E_EB = 1, or where a snap lands beyond."""
-    found = _find(("start", "snap", "landing", "breakdown"), scene, surface)
-    _, theta = _start(scene, found["start"], surface)
-    return _point(scene, found["breakdown"], _breakdown(theta, found, surface), throw)
+    check(scene, surface)
+    found = find(("start", "snap", "landing", "breakdown"), scene, surface)
+    _, theta = start_of(scene, found["start"], surface)
+    return point_of(scene, found["breakdown"], _breakdown(theta, found, surface), throw)
 
 
 def breakdown_voltage(scene: Scene, *, surface: Surface | None = None):
@@ -321,17 +333,18 @@ def area_strain(scene: Scene, *, surface: Surface | None = None):
     Where the ramp ends at the window's edge the strain is the window's, not the membrane's: SceneError, or NaN inside
     transformations; the diagram tells it.
     """
-    found = _find(("start", "snap", "landing", "breakdown"), scene, surface)
-    start, theta = _start(scene, found["start"], surface)
+    check(scene, surface)
+    found = find(("start", "snap", "landing", "breakdown"), scene, surface)
+    start, theta = start_of(scene, found["start"], surface)
     broken, snap = found["breakdown"], found["snap"]
     lost = broken.code == int(Code.no_landing)
     held = _in_snap(found) | lost
     of = broken._replace(code=jnp.where(lost, snap.code, broken.code))
-    _raise_if_none(scene, of, True)
+    raise_if_none(scene, of, True)
     # each system holds a state that is there, see `_breakdown`
     at_fold = _select(held, snap.state, broken.state)
     at_end = _select(held, snap.state, broken.state)
-    engine = _engine(surface, jnp.where(held, snap.steps, broken.steps))
+    engine = engine_of(surface, jnp.where(held, snap.steps, broken.steps))
     folded = attach(at_fold, theta, FOLD, engine)
     ended = attach(at_end, theta, BREAKDOWN, engine)
     apex = jnp.where(held, folded.apex_stretch, ended.apex_stretch)

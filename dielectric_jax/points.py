@@ -20,17 +20,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .kept import kept_jit
+from .engines import AbstractEngine, entries, perturbed, towers
 from .loading import Contour
 from .membrane import Membrane, field_ratio_squared
-from .shooting import shoot
-from .surface import Surface
 
 __all__ = [
-    "AbstractEngine",
-    "ByShooting",
     "Conditions",
-    "OnSheet",
     "Solution",
     "attach",
     "attach_free",
@@ -45,145 +40,12 @@ _ORDER = {FOLD: 1, PRESSURE_FOLD: 1, ONSET: 1, CUSP: 2, PRESSURE_CUSP: 2}
 _INSTEAD, _BESIDE = (ONSET, PRESSURE_CUSP), (CUSP,)
 
 
-class AbstractEngine(eqx.Module):
-    """Gives the rim's residual, zero in equilibrium, and the volume, at (λa, p, q)."""
-
-    def rim(self, membrane: Membrane, u):
-        """What the residual r is made of, and V, at u = (λa, p, q), an array (2,)."""
-        raise NotImplementedError
-
-    def residual(self, membrane: Membrane, u, given):
-        """r from the first result of `rim`."""
-        raise NotImplementedError
-
-    def own_leaves(self, membrane: Membrane) -> int:
-        """How many of the membrane's leaves, the first ones, `rim` depends on."""
-        raise NotImplementedError
-
-
-class ByShooting(AbstractEngine):
-    """By shooting with `steps` steps: r = λ2(1) − λ0."""
-
-    steps: typing.Any = 48.0
-
-    def rim(self, membrane, u):
-        end = shoot(membrane.material, u[0], u[1], u[2], steps=self.steps)
-        return jnp.stack([end.lag, end.volume])
-
-    def residual(self, membrane, u, given):
-        return given - (membrane.prestretch - u[0])
-
-    def own_leaves(self, membrane):
-        return len(jax.tree.leaves(membrane.material))
-
-
-class OnSheet(AbstractEngine):
-    """By a surface: r = p − p(λa, q). Its derivatives by the membrane are those of the shot."""
-
-    surface: Surface
-    steps: typing.Any = 48.0
-
-    def rim(self, membrane, u):
-        own = membrane.material, membrane.prestretch
-        return jnp.stack(_on_sheet(own, u[0], u[2], self))
-
-    def residual(self, membrane, u, given):
-        return u[1] - given
-
-    def own_leaves(self, membrane):
-        return len(jax.tree.leaves(membrane.material)) + 1
-
-
-def _read(engine: OnSheet, apex, q):
-    t = q / engine.surface.membrane.largest_load(apex)
-    return tuple(engine.surface.at_load_fraction(apex, t, ("pressure", "volume")))
-
-
-@eqx.filter_custom_jvp
-def _on_sheet(own, apex, q, engine):
-    return _read(engine, apex, q)
-
-
-@_on_sheet.def_jvp
-def _(primals, tangents):
-    (own, apex, q, engine), (of_own, of_apex, of_q, _) = primals, tangents
-    p, v = _on_sheet(own, apex, q, engine)
-    moves = [jnp.zeros_like(p), jnp.zeros_like(v)]
-    one, zero = jnp.ones_like(p), jnp.zeros_like(p)
-    for direction, move in ((one, zero), of_apex), ((zero, one), of_q):
-        if move is not None:
-            rates = jax.jvp(lambda a, q: _read(engine, a, q), (apex, q), direction)[1]
-            moves = [m + rate * move for m, rate in zip(moves, rates, strict=True)]
-    leaves, tree = jax.tree.flatten(own)
-    which, wanted = _perturbed(of_own)
-    if which:
-
-        def shot(p, leaves):
-            material, prestretch = tree.unflatten(leaves)
-            end = shoot(material, apex, p, q, steps=engine.steps)
-            return end.lag - (prestretch - apex), end.volume
-
-        slope = jax.jvp(lambda p: shot(p, leaves), (p,), (one,))[1]
-        for k, move in zip(which, wanted, strict=True):
-            leaf = jnp.asarray(leaves[k], float)
-            rate = jax.jvp(
-                lambda leaf, k=k: shot(p, [*leaves[:k], leaf, *leaves[k + 1 :]]), (leaf,), (jnp.ones_like(leaf),)
-            )[1]
-            by_p = -rate[0] / slope[0]
-            moves = [moves[0] + by_p * move, moves[1] + (rate[1] + slope[1] * by_p) * move]
-    return (p, v), tuple(moves)
-
-
 class Conditions(eqx.Module):
     """The equations of a kind of point: membrane, loading, and the target of kinds that have one (a load, V or p)."""
 
     membrane: Membrane
     contour: Contour
     target: typing.Any = 0.0
-
-
-def _towers(engine: AbstractEngine, membrane, u, order: int):
-    """`rim` and its derivatives by u up to an order: arrays (2,), (2, 3), (2, 3, 3), …"""
-    if order == 0:
-        return (engine.rim(membrane, u),)
-
-    def lower(u):
-        values = _towers(engine, membrane, u, order - 1)
-        return values[-1], values
-
-    highest, values = jax.jacfwd(lower, has_aux=True)(u)
-    return (*values, highest)
-
-
-@functools.cache
-def _towers_program(order: int):
-    def towers(engine, membrane, u):
-        return _towers(engine, membrane, u, order)
-
-    towers.__name__ = f"towers_{order}"
-    return kept_jit(towers)
-
-
-@functools.cache
-def _towers_by_leaf_program(order: int, k: int):
-    """The derivatives of the towers by leaf k of the membrane."""
-
-    def towers_by_leaf(engine, membrane, u):
-        leaves, tree = jax.tree.flatten(membrane)
-
-        def of_leaf(leaf):
-            return _towers(engine, tree.unflatten([*leaves[:k], leaf, *leaves[k + 1 :]]), u, order)
-
-        leaf = jnp.asarray(leaves[k], float)
-        return jax.jvp(of_leaf, (leaf,), (jnp.ones_like(leaf),))[1]
-
-    towers_by_leaf.__name__ = f"towers_{order}_by_{k}"
-    return kept_jit(towers_by_leaf)
-
-
-def _held(membrane: Membrane) -> Membrane:
-    """The membrane without its breakdown law, which no shot depends on."""
-    return eqx.tree_at(lambda m: m.breakdown, membrane, None)
 
 
 def _equations(kind: str, engine: AbstractEngine, rims, u, theta: Conditions):
@@ -231,7 +93,7 @@ _AXES = np.eye(3)
 
 @functools.partial(jax.jit, static_argnames=("kind", "wanted"))
 def _assemble(kind: str, wanted: tuple, engine, u, theta: Conditions, rims, by_leaf: dict):
-    """F and V (k,), and their derivatives by u (k, 3) and by the leaves of θ in `wanted` (k, wanted).
+    """F and V (k,), and their derivatives by u (k, 3) and by the numbers in the leaves of θ in `wanted` (k, numbers).
 
     `rims` holds one derivative more than the equations do, `by_leaf` the derivatives of all but that by leaves.
     """
@@ -255,19 +117,17 @@ def _assemble(kind: str, wanted: tuple, engine, u, theta: Conditions, rims, by_l
             return of(rims, u, tree.unflatten([*leaves[:k], leaf, *leaves[k + 1 :]]))
 
         leaf = jnp.asarray(leaves[k], float)
-        push = by_leaf[k] if k in by_leaf else tuple(map(jnp.zeros_like, known))
-        columns.append(jax.jvp(of_leaf, (known, leaf), (push, jnp.ones_like(leaf)))[1])
+        for j, entry in enumerate(entries(leaf)):
+            push = tuple(v[..., j] for v in by_leaf[k]) if k in by_leaf else tuple(map(jnp.zeros_like, known))
+            columns.append(jax.jvp(of_leaf, (known, leaf), (push, jnp.asarray(entry)))[1])
     by_theta = jnp.stack(columns, axis=1) if columns else jnp.zeros((len(value), 0))
     return value, jnp.stack(by_u, axis=1), by_theta
 
 
 def _matrices(kind: str, wanted: tuple, engine: AbstractEngine, u, theta: Conditions):
     """`_assemble`, with the shots it needs."""
-    order, held = _ORDER.get(kind, 0), _held(theta.membrane)
-    rims = _towers_program(order + 1)(engine, held, u)
-    own = [k for k in wanted if k < engine.own_leaves(held)]
-    by_leaf = {k: tuple(_towers_by_leaf_program(order, k)(engine, held, u)) for k in own}
-    return _assemble(kind, wanted, engine, u, theta, tuple(rims), by_leaf)
+    rims, by_leaf = towers(engine, theta.membrane, u, _ORDER.get(kind, 0), wanted)
+    return _assemble(kind, wanted, engine, u, theta, rims, by_leaf)
 
 
 def _unknowns(kind: str, free: int | None, by_u, by_theta):
@@ -330,13 +190,6 @@ def _free_rates(free, by_u, by_theta):
     return -(left @ asked[:2]) / (left @ own[:2])
 
 
-def _perturbed(tangents) -> tuple:
-    """The leaves that move: their places, and their tangents."""
-    moves = jax.tree.leaves(tangents, is_leaf=lambda v: v is None)
-    which = tuple(k for k, move in enumerate(moves) if move is not None)
-    return which, [moves[k] for k in which]
-
-
 class Solution(typing.NamedTuple):
     """λa, p, q and V of a state, and the value of its free parameter, 0 where there is none."""
 
@@ -377,7 +230,7 @@ def _attach(state, theta, kind, engine, free):
 def _(primals, tangents):
     state, theta, kind, engine, free = primals
     state = _attach(state, theta, kind, engine, free)
-    which, moves = _perturbed(tangents[1])
+    which, moves = perturbed(tangents[1])
     moves = [move for k, move in zip(which, moves, strict=True) if k != free]
     which = tuple(k for k in which if k != free)
     if not which:
@@ -386,8 +239,7 @@ def _(primals, tangents):
     wanted = which if free is None else (*which, free)
     _, by_u, by_theta = _matrices(kind, wanted, engine, jnp.stack(state[:3]), at)
     rates = _rates(kind, free, by_u, by_theta)
-    total = sum(rates[:, i] * move for i, move in enumerate(moves))
-    return state, Solution(*typing.cast(Array, total))
+    return state, Solution(*(rates @ _numbers(moves)))
 
 
 @eqx.filter_custom_jvp
@@ -398,7 +250,7 @@ def _attach_free(value, state, theta, engine, free):
 @_attach_free.def_jvp
 def _(primals, tangents):
     value, state, theta, engine, free = primals
-    which, moves = _perturbed(tangents[2])
+    which, moves = perturbed(tangents[2])
     moves = [move for k, move in zip(which, moves, strict=True) if k != free]
     which = tuple(k for k in which if k != free)
     value = _attach_free(value, state, theta, engine, free)
@@ -409,4 +261,9 @@ def _(primals, tangents):
     # at a given load: the equations without their third
     _, by_u, by_theta = _matrices(LEVEL, wanted, engine, jnp.stack(at[:3]), _with_free(theta, free, at.free))
     rates = _free_rates(free, by_u, by_theta)
-    return value, typing.cast(Array, sum(rates[i] * move for i, move in enumerate(moves)))
+    return value, rates @ _numbers(moves)
+
+
+def _numbers(moves):
+    """The numbers of several leaves, one after the other."""
+    return jnp.concatenate([jnp.ravel(move) for move in moves])

@@ -4,9 +4,7 @@ Nothing here is differentiated: the points are exact already, `points` adds thei
 of its pytree, so that a transformed function asks for a batch of them by one call to the host.
 """
 
-import dataclasses
 import typing
-from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
@@ -16,17 +14,20 @@ from .batch import columns_of, continue_scenes, contour_of, starts
 from .continuation import Steps, advance, begin
 from .crowd import Crowd
 from .diagram import voltage_volume
+from .engines import ByShooting, towers
 from .ensemble import Outcome, Ramps, chamber_ramps, first_folds_on, pressure_ramps
 from .equilibria import SCALE, locking_stretch
 from .kept import kept_jit
+from .leaves import Scenes
 from .loading import Chamber, ConstantPressure, ConstantVoltage
+from .points import FOLD, Conditions, correction
 from .records import State
 from .results import Code, SceneError
 from .scene import Scene
 from .surface import Surface
 from .tracing import branch_problem
 
-__all__ = ["EVENTS", "Scenes", "first_folds", "first_folds_on_surface", "ramp_events"]
+__all__ = ["EVENTS", "first_folds", "first_folds_on_surface", "loading_columns", "ramp_events"]
 
 #: the events that a search tells, each as λa, p, q, V, error, code
 EVENTS = ("start", "snap", "landing", "breakdown", "snap_back", "landing_back", "rest")
@@ -97,57 +98,20 @@ def _turn(before, after):
     return x0 + a * s + b * s**2 / 2 + c * s**3 / 3, rate / size, (b + 2 * c * s)[2] / size**2
 
 
-@dataclasses.dataclass(frozen=True)
-class Scenes(Sequence):
-    """Scenes of one kind as rows of the numbers in their leaves (scenes, leaves); built one by one when asked for."""
+def _on_finer_grid(membrane, contour, u, volume, way, slope: float):
+    """A fold moved along its branch to where the tangent of a finer grid says that q turns.
 
-    tree: typing.Any
-    rows: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.rows)
-
-    def __getitem__(self, which):
-        if isinstance(which, (int, np.integer)):
-            return jax.tree.unflatten(self.tree, [np.float64(v) for v in self.rows[which]])
-        return Scenes(self.tree, self.rows[which])
-
-    def columns(self) -> Scene:
-        """One scene whose leaves are columns."""
-        return jax.tree.unflatten(self.tree, list(self.rows.T))
-
-    def admissible(self, surface: Surface | None) -> np.ndarray:
-        """For each the code of what is wrong with its numbers, which were unknown when it was written down."""
-        code = np.full(len(self), int(Code.ok))
-        if surface is not None:
-            own = np.array([np.asarray(v).item() for v in jax.tree.leaves(surface.membrane)])
-            same = jax.tree.structure(surface.membrane) == jax.tree.structure(self[0].membrane)
-            code[~(same & (self.rows[:, : len(own)] == own).all(axis=1))] = int(Code.other_membrane)
-        return np.where(self._valid(surface), code, int(Code.no_equilibrium))
-
-    def _valid(self, surface: Surface | None) -> np.ndarray:
-        good = np.isfinite(self.rows).all(axis=1)
-        loading = self.columns().loading
-        for name in loading.__dataclass_fields__:
-            value = getattr(loading, name)
-            if value is not None:
-                good &= (value >= 0) if name == "atmospheric_pressure" else (value > 0)
-        if surface is None:  # else the membrane is the surface's
-            for i in np.flatnonzero(good):
-                good[i] = _constructed(self[i])
-        return good
-
-
-def _constructed(scene: Scene) -> bool:
-    """Whether the constructors take the scene's membrane."""
-    try:
-        for module in (scene.membrane.material, scene.membrane.breakdown, scene.membrane):
-            check = getattr(module, "__check_init__", None)
-            if check is not None:
-                check()
-    except ValueError:
-        return False
-    return True
+    `slope` is d(dq)/ds along the unit tangent `way`, in scaled unknowns.
+    """
+    (_, slopes), _ = towers(ByShooting(np.asarray(48.0)), membrane, u, 0, ())
+    slopes = np.array(slopes)
+    by_p, by_v, by_q = (float(v) for v in contour.slopes(volume))
+    rows = np.stack([slopes[0] + [1.0, 0.0, 0.0], by_v * slopes[1] + [0.0, by_p, by_q]]) * SCALE
+    tangent = np.cross(*rows) / np.linalg.norm(np.cross(*rows))
+    tangent *= np.sign(tangent @ way)
+    move = -tangent[2] / slope * tangent * SCALE
+    move = np.where(np.abs(move).max() < 1e-4, move, 0.0)  # else the search and this grid do not mean one fold
+    return u + move, volume + slopes[1] @ move
 
 
 def _box(scene: Scene) -> np.ndarray:
@@ -187,8 +151,8 @@ def _first_fold(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
                 np.zeros(1, int), (place * SCALE)[None], tangent[None], np.array([slope]), tolerance=1e-9, reach=0.3
             )
             if found.ok[0]:
-                error = max(found.error[0], found.spread[0])
-                return at, _point(found.u[0], found.volume[0], error)
+                u, volume = _on_finer_grid(scene.membrane, contour, found.u[0], found.volume[0], tangent, slope)
+                return at, _point(u, volume, found.error[0])
         if least <= _HIDDEN:
             break
         if Code(int(code)) in (Code.window_stretch, Code.window_load, Code.lock_up):
@@ -206,18 +170,19 @@ def first_folds(scenes: Scenes) -> dict[str, np.ndarray]:
             table[name][:] = events[name]
         todo = np.flatnonzero(~np.isfinite(table["snap"][:, 0]) & (table["snap"][:, 5] != int(Code.start_unstable)))
     for i in todo:
-        table["start"][i], table["snap"][i] = _guarded(_first_fold, scenes[i])
+        table["start"][i], table["snap"][i] = guarded(_first_fold, scenes[i])
     return table
 
 
-def _guarded(search, scene: Scene):
-    """A search whose refusal becomes a code: a failing scene never harms its neighbours."""
+def guarded(search, scene: Scene, rows: int = 2, width: int = 6):
+    """A search for rows of numbers, whose refusal becomes a code: a failing scene never harms its neighbours."""
     try:
         return search(scene)
     except SceneError as error:
-        return _no(error.code), _no(error.code)
+        code = error.code
     except ValueError:
-        return _no(Code.no_equilibrium), _no(Code.no_equilibrium)
+        code = Code.no_equilibrium
+    return [np.pad(_no(code), (0, width - 6), constant_values=np.nan)] * rows
 
 
 def _of_state(state: State) -> np.ndarray:
@@ -313,7 +278,7 @@ def _table_of(ramps: Ramps) -> dict[str, np.ndarray]:
     return table
 
 
-def _given(loading, surface: Surface) -> dict:
+def loading_columns(loading, surface: Surface) -> dict:
     """The columns of a loading under the names of `chamber_ramps`, or the pressure."""
     if isinstance(loading, ConstantPressure):
         return {"pressure": loading.pressure}
@@ -328,7 +293,7 @@ def _given(loading, surface: Surface) -> dict:
 
 def first_folds_on_surface(scenes: Scenes, surface: Surface) -> dict[str, np.ndarray]:
     """`first_folds` of scenes of one membrane on its surface; shooting decides what the surface does not."""
-    found = first_folds_on(surface, _given(scenes.columns().loading, surface))
+    found = first_folds_on(surface, loading_columns(scenes.columns().loading, surface))
     code = np.full((*found.shape[:-1], 1), float(Code.ok))
     found = np.concatenate([found[..., [0, 1, 3, 2, 4]], code], axis=-1)
     unknown = np.flatnonzero(~np.isfinite(found[:, 1, 0]))
@@ -340,6 +305,20 @@ def first_folds_on_surface(scenes: Scenes, surface: Surface) -> dict[str, np.nda
     return table
 
 
+def _settled_fold(scene: Scene, start: np.ndarray, fold: np.ndarray) -> np.ndarray:
+    """A fold known well enough to tell its load, moved to its exact place."""
+    contour = contour_of(scene, float(start[1]), float(start[3]))
+    theta = Conditions(scene.membrane, contour, np.asarray(0.0))
+    engine = ByShooting(np.asarray(48.0))
+    _, move, _ = correction(FOLD, engine, fold[:3], theta)
+    move = np.asarray(move)
+    if not np.abs(move / SCALE).max() < 1e-3:  # its grid is too coarse for this state
+        return fold
+    end = engine.rim(scene.membrane, fold[:3] + move)
+    # the load is the search's: it saw the finer grid
+    return np.array([fold[0] + move[0], fold[1] + move[1], fold[2], float(end[1]), *fold[4:]])
+
+
 def ramp_events(scenes: Scenes, surface: Surface | None = None, *, alone: bool = True) -> dict[str, np.ndarray]:
     """All events of many scenes' ramps, a dictionary of arrays (scenes, 6).
 
@@ -348,7 +327,7 @@ def ramp_events(scenes: Scenes, surface: Surface | None = None, *, alone: bool =
     if surface is None:
         ramps = continue_scenes(list(scenes)).ramps
     else:
-        given = _given(scenes.columns().loading, surface)
+        given = loading_columns(scenes.columns().loading, surface)
         ramps = pressure_ramps(surface, **given) if "pressure" in given else chamber_ramps(surface, **given)
     table = _table_of(ramps)
     unknown = ramps.outcome == Outcome.unresolved
@@ -362,4 +341,8 @@ def ramp_events(scenes: Scenes, surface: Surface | None = None, *, alone: bool =
             events = dict.fromkeys(EVENTS, _no(Code.no_equilibrium))
         for name in EVENTS:
             table[name][i] = events[name]
+    for name in ("snap", "snap_back") if surface is None and alone else ():
+        for i in np.flatnonzero(table[name][:, 5] == int(Code.ok)):
+            if table["start"][i, 5] == int(Code.ok):
+                table[name][i] = _settled_fold(scenes[i], table["start"][i], table[name][i])
     return table

@@ -207,3 +207,19 @@ def test_some_hard_scenes_are_counted(tmp_path):
     assert counts["scenes"] == sum(outcomes.values()) == 64 and counts["half_told"] == 0
     assert sample["counts"]["compared"] >= 2 and sample["counts"]["differing"] == 0, said
     assert sample["error"] < 1e-8 and ramps["error"] <= 1e-8
+
+
+def test_a_few_gradients_are_audited(tmp_path):
+    record, said = quick("gradient_audit.py", tmp_path)
+    rows = record["records"]
+    assert {r["kind"] for r in rows} == {"snap voltage", "landing volume", "peak volume", "area strain"}, said
+    assert all(r["relative_difference"] < 1e-6 for r in rows), said
+
+
+def test_fold_curves_and_their_known_numbers(tmp_path):
+    record, said = quick("fold_curves.py", tmp_path)
+    assert max(record["errors_in_last_digits"].values()) <= 1, said
+    # from V_C = 552 on there is a snap, between the cusps none, and the curves say so
+    volumes, folds, _ = record["curves"]["chamber_volume"]
+    counts = [sum(v is not None for v in row) for row in folds]
+    assert all(count >= 2 for v, count in zip(volumes, counts, strict=True) if v > 600)

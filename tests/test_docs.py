@@ -38,4 +38,13 @@ def sweeps_page(names):
     assert told["beyond_errors"] == 0 and told["differing"] > 0 and told["largest"] < 1e-9
 
 
-CHECKS = {"sweeps.md": sweeps_page}
+def calibration_page(names):
+    """The constants the page puts in come out within their intervals."""
+    found = names["found"]
+    for name, true in (("shear_modulus", 60e3), ("stretch_limit", 120.0)):
+        low, high = found.intervals[name]
+        assert low < true < high and high / low < 1.2
+    assert names["in_si"]
+
+
+CHECKS = {"sweeps.md": sweeps_page, "calibration.md": calibration_page}

@@ -1,0 +1,141 @@
+"""Exact boundaries between regimes: equations on the sheet of states, met by Newton between two designs that differ.
+
+c(λa, q) = p(λa, q) − p_gas(V(λa, q)) is the condition of the loading on the sheet, λs the start (V = V_0 at q = 0), a dash
+the derivative by λa at fixed q. Between two designs a and b, the parameters a + s (b − a):
+
+    start unstable            c′(λs, 0) = 0
+    two folds merge           c = c′ = c″ = 0 at (λ1, q1)
+    a fold at breakdown       c = c′ = 0 at (λ1, q1), q1 = q_b(λ1)
+    a landing at breakdown    c = c′ = 0 at (λ1, q1), c(λ2, q1) = 0, q1 = q_b(λ2)
+    a snap-back at zero       c = c′ = 0 at (λ1, 0)
+"""
+
+import numpy as np
+
+from .designs import Designs
+from .regimes import SNAPPING, Regime
+from .scene import Scene
+from .sheet_conditions import solve_on_sheet
+from .surface import Surface
+
+__all__ = ["FOLD_BREAKS", "LANDING_BREAKS", "MERGING", "REST", "START", "completed", "guesses", "kind_between", "meet"]
+
+START, MERGING, FOLD_BREAKS, LANDING_BREAKS, REST = (
+    "start unstable",
+    "two folds merge",
+    "fold at breakdown",
+    "landing at breakdown",
+    "snap-back at zero voltage",
+)
+_LANES = 64
+
+
+def kind_between(one: Regime, other: Regime) -> str | None:
+    """Which equations hold where two regimes meet; None where no such equations are known."""
+    pair = {Regime(one), Regime(other)}
+    if Regime.undetermined in pair:
+        return None
+    if Regime.start_unstable in pair:
+        return START
+    if Regime.no_snap in pair:
+        return MERGING
+    if Regime.breaks_before_snap in pair:
+        return FOLD_BREAKS
+    if pair == {Regime.stays, Regime.returns}:
+        return REST
+    if Regime.breaks_in_snap in pair and Regime.no_landing not in pair:
+        return LANDING_BREAKS
+    return None
+
+
+def guesses(kind: str, designs: Designs, which: np.ndarray) -> np.ndarray:
+    """Where Newton begins (n, unknowns without s), from the ramps of designs; NaN where they do not tell."""
+    ramps = designs.ramps
+    start = ramps.start.apex_stretch[which]
+    last = np.maximum(ramps.snaps[which] - 1, 0)
+    snap, load = (v[which, last] for v in (ramps.snap.apex_stretch, ramps.snap.voltage**2))
+    if kind == START:
+        return start[:, None]
+    if kind == LANDING_BREAKS:
+        return np.stack([start, snap, load, ramps.landing.apex_stretch[which, last]], axis=1)
+    if kind == REST:
+        back = ramps.snap_back.apex_stretch[which, 0]
+        return np.stack([start, back], axis=1)
+    folds, at = ramps.folds.apex_stretch[which], ramps.folds.voltage[which] ** 2
+    # the first fold is a maximum, the next a minimum; where they merge it is halfway
+    if kind == MERGING:
+        return np.stack([start, (folds[:, 0] + folds[:, 1]) / 2, (at[:, 0] + at[:, 1]) / 2], axis=1)
+    return np.stack([start, folds[:, 0], at[:, 0]], axis=1)
+
+
+def completed(guess: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Guesses, those that are missing from the nearest design that has one."""
+    there = np.isfinite(guess).all(axis=1)
+    if there.all() or not there.any():
+        return guess
+    scaled = places / np.abs(places).max(axis=0)
+    missing = np.flatnonzero(~there)
+    distance = np.abs(scaled[missing][:, None] - scaled[there][None]).max(axis=2)
+    guess = guess.copy()
+    guess[missing] = guess[there][np.argmin(distance, axis=1)]
+    return guess
+
+
+def _start(on, u):
+    return [on.filled, on.slope(0, u[0], 0.0)], []
+
+
+def _rest(on, u):
+    return [on.filled, on.excess(1, u[1], 0.0), on.slope(1, u[1], 0.0)], []
+
+
+def _fold(on, u) -> list:
+    return [on.filled, on.excess(1, u[1], u[2]), on.slope(1, u[1], u[2])]
+
+
+def _merging(on, u):
+    return [*_fold(on, u), on.bend(1, u[1], u[2])], []
+
+
+def _fold_breaks(on, u):
+    return [*_fold(on, u), on.field(u[1], u[2])], []
+
+
+def _landing_breaks(on, u):
+    return [*_fold(on, u), on.excess(2, u[3], u[2]), on.field(u[3], u[2])], []
+
+
+#: the equations of each kind, and the points of the sheet they read
+_EQUATIONS = {
+    START: (_start, ((0, -1),)),
+    REST: (_rest, ((0, -1), (1, -1))),
+    MERGING: (_merging, ((0, -1), (1, 2))),
+    FOLD_BREAKS: (_fold_breaks, ((0, -1), (1, 2))),
+    LANDING_BREAKS: (_landing_breaks, ((0, -1), (1, 2), (3, 2))),
+}
+
+
+def meet(
+    kind: str, surface: Surface, scene: Scene, names: tuple, begin, end, guess, beyond
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where between designs `begin` and `end` (n, parameters) a boundary of a kind lies: s (n,), NaN where it is not met.
+
+    s lies in 0 … 1, or up to `beyond` (n,) outside. Also the size of Newton's last move, a measure of the error of s.
+    """
+    share, error = np.full(len(begin), np.nan), np.full(len(begin), np.nan)
+    todo = np.flatnonzero(np.isfinite(guess).all(axis=1))
+    if len(todo):
+        equations, points = _EQUATIONS[kind]
+        halfway = np.append(guess[todo], np.full((len(todo), 1), 0.5), axis=1)
+        found = solve_on_sheet(equations, points, surface, scene, names, halfway, begin[todo], end[todo], lanes=_LANES)
+        place = found.unknowns[:, -1]
+        with np.errstate(invalid="ignore"):
+            good = (found.size < 1e-8) & (np.abs(place - 0.5) <= 0.5 + 1e-6 + beyond[todo])
+        share[todo] = np.where(good, place, np.nan)
+        error[todo] = found.size
+    return share, np.where(np.isfinite(share), error, np.nan)
+
+
+def snaps(regime: np.ndarray) -> np.ndarray:
+    """Which regimes hold a snap."""
+    return np.isin(regime, [int(r) for r in SNAPPING])

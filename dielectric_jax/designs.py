@@ -1,0 +1,155 @@
+"""Many designs at once: their ramps on the surfaces of their membranes, and the regime of each.
+
+The surface tells the ramp of a design exactly as far as the surface goes, a little above breakdown. What lies farther is read
+from a coarse chart of the membrane that covers the whole window.
+"""
+
+import dataclasses
+import functools
+import typing
+
+import jax
+import numpy as np
+
+from .batch import ByLeaves
+from .coarse_chart import coarse_chart
+from .ensemble import Outcome, Ramps, chamber_ramps, pressure_ramps
+from .family import SurfaceFamily
+from .loading import Chamber, ConstantPressure
+from .membrane import Membrane
+from .regimes import regimes_of_ramps
+from .scene import Scene
+from .searches import loading_columns
+from .surface import Surface
+
+__all__ = ["Designs", "classify_designs", "surface_for"]
+
+
+class Designs(typing.NamedTuple):
+    """Many designs: their scenes as one whose leaves are columns, their regimes, and the ramps of those on a surface.
+
+    `ramps` are in the order of the designs; `sheet` numbers the membrane of each.
+    """
+
+    scenes: Scene
+    regime: np.ndarray
+    ramps: Ramps
+    sheet: np.ndarray
+
+
+def designs_of(scene: Scene, parameters: dict) -> Scene:
+    """One scene whose leaves are columns: `scene` with the named parameters at the values of arrays (n,).
+
+    Raises ValueError for names or values that the scene does not take.
+    """
+    names = tuple(parameters)
+    values = [np.asarray(parameters[n], float) for n in names]
+    ends = {f(v) for v in np.stack(values, axis=1).tolist() for f in (tuple,)} if len(values[0]) <= 4 else set()
+    for own in ends or {tuple(v.min() for v in values), tuple(v.max() for v in values)}:
+        scene.replace(**dict(zip(names, own, strict=True)))
+    replace = jax.vmap(lambda *own: scene.replace(**dict(zip(names, own, strict=True))))
+    columns = replace(*values)
+    return jax.tree.map(lambda v: np.broadcast_to(np.asarray(v, float), values[0].shape), columns)
+
+
+def _row(columns, which):
+    return jax.tree.map(lambda v: v[which], columns)
+
+
+def surface_for(membrane: Membrane, given: typing.Any) -> Surface:
+    """The surface of a membrane: the one given, a family's section, or one that is built; with the membrane's own law."""
+    if isinstance(given, SurfaceFamily):
+        key = ByLeaves.of(Membrane(given.material, float(membrane.prestretch), given.breakdown))
+        found = _section(_ById(given), key)
+    elif given is None:
+        found = _built(ByLeaves.of(membrane))
+    else:
+        found = given
+        mine, other = (jax.tree.leaves((m.material, m.prestretch)) for m in (membrane, found.membrane))
+        if not (len(mine) == len(other) and all(np.array_equal(a, b) for a, b in zip(mine, other, strict=True))):
+            raise ValueError(
+                "`surface` must be that of the scenes' membrane, but is another's; leave it out, or give a SurfaceFamily."
+            )
+    if found.belongs_to(membrane):
+        return found
+    return _with_law(_ById(found), ByLeaves.of(membrane))
+
+
+class _ById:
+    """An object as a key of caches by its identity."""
+
+    def __init__(self, value):
+        self.value = value
+
+    def __hash__(self):
+        return id(self.value)
+
+    def __eq__(self, other):
+        return self.value is other.value
+
+
+@functools.lru_cache(maxsize=128)
+def _section(family: _ById, key: ByLeaves) -> Surface:
+    return family.value.surface(float(key.membrane.prestretch))
+
+
+@functools.lru_cache(maxsize=64)
+def _built(key: ByLeaves) -> Surface:
+    return Surface.build(key.membrane)
+
+
+@functools.lru_cache(maxsize=256)
+def _with_law(surface: _ById, key: ByLeaves) -> Surface:
+    """The same sheet under another breakdown law."""
+    return dataclasses.replace(surface.value, membrane=key.membrane)
+
+
+def classify_designs(
+    scene: Scene, parameters: dict, *, surface: Surface | SurfaceFamily | None = None, whole: bool = True
+) -> Designs:
+    """The regimes of many designs: `scene` with the named parameters at the values of arrays of one shape (n,).
+
+    With `whole=False` what the surface does not tell stays undetermined. A `surface` of the membrane (or a family, where the prestretch varies) is built where none is given. Raises ValueError for
+    parameters the scene does not take.
+
+    >>> from dielectric_jax import Membrane, Regime
+    >>> scene = Scene(Membrane(), Chamber(volume=1600.0, initial_volume=2.42))
+    >>> found = classify_designs(scene, {"chamber_volume": [460.0, 475.0, 500.0, 800.0, 1600.0]})
+    >>> [Regime(int(r)).name for r in found.regime]
+    ['breaks_in_snap', 'returns', 'no_snap', 'returns', 'stays']
+    """
+    if not isinstance(scene.loading, (Chamber, ConstantPressure)):
+        raise ValueError(f"`loading` must be a Chamber or a ConstantPressure here, but is {scene.loading!r}.")
+    columns = designs_of(scene, parameters)
+    count = len(columns.membrane.prestretch)
+    keys: dict = {}
+    leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(columns.membrane)]
+    for i in range(count):
+        keys.setdefault(tuple(leaf[i] for leaf in leaves), []).append(i)
+    parts, order, sheet = [], [], np.zeros(count, int)
+    for number, own in enumerate(keys.values()):
+        own = np.array(own)
+        sheet[own] = number
+        membrane = jax.tree.map(lambda v, i=own[0]: np.float64(v[i]), columns.membrane)
+        parts.append(_on_one(surface_for(membrane, surface), _row(columns.loading, own), whole))
+        order.append(own)
+    back = np.argsort(np.concatenate(order))
+    regime, ramps = jax.tree.map(lambda *v: np.concatenate(v)[back], *parts)
+    return Designs(columns, regime, ramps, sheet)
+
+
+def _on_one(surface: Surface, loading, whole: bool) -> tuple[np.ndarray, Ramps]:
+    """Regimes and ramps of loadings, columns, of one membrane."""
+    given = loading_columns(loading, surface)
+    ramps = pressure_ramps(surface, **given) if "pressure" in given else chamber_ramps(surface, **given)
+    regime = regimes_of_ramps(ramps)
+    open_ = np.flatnonzero(np.isin(ramps.outcome, (Outcome.unresolved, Outcome.no_unbroken_landing)))
+    if len(open_) and whole:
+        chart = coarse_chart(ByLeaves.of(surface.membrane))
+        for i in open_:
+            snap = None
+            if ramps.outcome[i] == Outcome.no_unbroken_landing:
+                k = max(int(ramps.snaps[i]) - 1, 0)
+                snap = ramps.snap.apex_stretch[i, k], ramps.snap.voltage[i, k] ** 2
+            regime[i] = chart.regime({n: float(np.asarray(v).ravel()[i]) for n, v in given.items()}, snap)
+    return regime, ramps

@@ -1,0 +1,112 @@
+"""Figures of regime maps: areas named by their regime, exact curves between them, the optimum of a design."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .regimes import Regime
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["plot_regime_map"]
+
+#: pale where nothing breaks, told apart in grey too
+_COLOURS = {
+    Regime.undetermined: "#FFFFFF",
+    Regime.start_unstable: "#DDDDDD",
+    Regime.no_snap: "#F5E9B8",
+    Regime.breaks_before_snap: "#E8B8A0",
+    Regime.no_landing: "#A9A9B8",
+    Regime.breaks_in_snap: "#CC7A68",
+    Regime.stays: "#9CC7E0",
+    Regime.returns: "#BFE3C5",
+}
+_WORDS = {
+    "chamber_volume": "chamber volume $V_C$",
+    "initial_volume": "filling $V_0$",
+    "initial_pressure": "filling pressure $p_0$",
+    "atmospheric_pressure": "pressure outside $p_{atm}$",
+    "polytropic_exponent": "polytropic exponent $n$",
+    "pressure": "pressure $p$",
+    "prestretch": "prestretch $λ_0$",
+    "stretch_limit": "limit $J$",
+    "breakdown_field_scale": "breakdown field / law",
+    "shear_modulus": "shear modulus μ [Pa]",
+    "thickness": "thickness $H$ [m]",
+    "radius": "radius $A$ [m]",
+    "permittivity": "permittivity ε [F/m]",
+}
+_LEAST_SHARE = 0.01  # of the map: smaller areas are named in the legend
+
+
+def plot_regime_map(data: Any, *, ax: Axes | None = None, designs: Any = (), legend: bool = True) -> Axes:
+    """Draws a `RegimeMap`: each regime an area with its name in it, the boundaries as black lines.
+
+    Args:
+        data: a `RegimeMap`.
+        ax: the axes to draw on; new ones when None.
+        designs: points (x, y) to mark with a star, such as an optimum.
+        legend: whether areas too small for their name get a legend.
+
+    Returns:
+        The axes.
+    """
+    import matplotlib.pyplot as plt
+    from matplotlib.colors import BoundaryNorm, ListedColormap
+    from matplotlib.patches import Patch
+
+    ax = plt.subplots(figsize=(6.4, 4.8), layout="constrained")[1] if ax is None else ax
+    assert ax is not None
+    x, y = data.values
+    codes = sorted(int(r) for r in Regime)
+    colours = ListedColormap([_COLOURS[Regime(c)] for c in codes])
+    norm = BoundaryNorm([c - 0.5 for c in codes] + [codes[-1] + 0.5], len(codes))
+    ax.pcolormesh(x, y, data.regimes, cmap=colours, norm=norm, shading="nearest", rasterized=True)
+    for values, scale in ((x, ax.set_xscale), (y, ax.set_yscale)):
+        if _logarithmic(values):
+            scale("log")
+    for curve in data.boundaries:
+        ax.plot(*curve.points.T, color="black", linewidth=1.0, solid_joinstyle="round")
+    small = []
+    for code in np.unique(data.regimes):
+        regime = Regime(int(code))
+        spot = _widest_spot(data.regimes == code)
+        share = np.mean(data.regimes == code)
+        if share >= _LEAST_SHARE and spot[2] >= 0.055:
+            words = regime.words.replace(" ", "\n") if spot[2] < 0.16 else regime.words
+            ax.text(x[spot[1]], y[spot[0]], words, ha="center", va="center", fontsize=8, linespacing=0.95)
+        else:
+            small.append(Patch(facecolor=_COLOURS[regime], edgecolor="black", linewidth=0.5, label=regime.words))
+    for point in designs:
+        ax.plot(*point, "*", color="black", markersize=12, markeredgecolor="white", zorder=5)
+    ax.set(xlabel=_words(data.names[0]), ylabel=_words(data.names[1]))
+    ax.set_xlim(x[0], x[-1])
+    ax.set_ylim(y[0], y[-1])
+    if legend and small:
+        ax.legend(
+            handles=small, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(small), fontsize=8, frameon=False
+        )
+    return ax
+
+
+def _words(name: str) -> str:
+    return _WORDS.get(name, name.replace("_", " "))
+
+
+def _logarithmic(values: np.ndarray) -> bool:
+    return bool(values[0] > 0 and np.diff(values)[-1] > 2 * np.diff(values)[0])
+
+
+def _widest_spot(mask: np.ndarray) -> tuple[int, int, float]:
+    """The middle of the largest square in an area: row, column, and its width as a share of the map."""
+    padded = np.pad(mask.astype(int), 1)
+    size = np.zeros_like(padded)
+    for i in range(1, padded.shape[0]):
+        for j in np.flatnonzero(padded[i]):
+            size[i, j] = 1 + min(size[i - 1, j], size[i, j - 1], size[i - 1, j - 1])
+    i, j = np.unravel_index(int(np.argmax(size)), size.shape)
+    width = int(size[i, j])
+    return int(i - 1 - width // 2), int(j - 1 - width // 2), width / mask.shape[1]

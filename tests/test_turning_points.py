@@ -1,0 +1,82 @@
+"""Extremes of the pressure, zero-voltage states, the onset of bistability and cusps: known numbers, closed-form slopes."""
+
+import jax
+import numpy as np
+import pytest
+from test_critical_points import GAS, slope_by_differences, slopes_of_gas
+
+import dielectric_jax as dj
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return dj.Scene(dj.Membrane(), dj.Chamber(volume=1600.0, initial_volume=2.42))
+
+
+def test_extremes_of_the_pressure(membrane):
+    peak, valley = dj.pressure_peak(membrane), dj.pressure_valley(membrane)
+    assert abs(float(peak.pressure) - 1.908684829414) < 2e-12
+    assert abs(float(peak.volume) / 2.9634068291 - 1) < 1e-10
+    assert abs(float(valley.pressure) - 1.361703319141) < 2e-12
+    assert abs(float(valley.apex_stretch) / 8.2681508078 - 1) < 1e-10
+    with pytest.raises(dj.SceneError, match="no_pressure_fold"):
+        dj.pressure_peak(dj.Membrane(prestretch=2.5))
+    assert np.isnan(dj.pressure_peak(dj.Membrane(prestretch=2.5), throw=False).pressure)
+
+
+def test_the_peak_falls_with_the_voltage_as_the_energy_says(membrane):
+    """Where ∂p/∂V = 0, dp/dq = ∂p/∂q|V = −½ ∂C/∂V|q, C = Q/Φ by differences of states."""
+    slope = jax.grad(lambda f: dj.pressure_peak(membrane, f).pressure)(0.05) / (2 * 0.05)
+    peak = dj.pressure_peak(membrane, 0.05)
+
+    def state(apex):
+        return dj.equilibrium(membrane, voltage=0.05, apex_stretch=apex)
+
+    apex = float(peak.apex_stretch)
+    charge, volume = (
+        slope_by_differences(lambda a, n=name: getattr(state(a), n), apex, 1e-2) for name in ("charge", "volume")
+    )
+    assert abs(float(slope) / (-0.5 * charge / 0.05 / volume) - 1) < 1e-7
+
+
+def test_zero_voltage_states(scene):
+    volumes = [float(dj.zero_voltage_point(scene, k).volume) for k in (0, 1, 2)]
+    assert np.allclose(volumes, [2.42, 6.04157957, 11.7561689651], rtol=1e-8)
+    assert abs(float(dj.zero_voltage_point(scene, -1).pressure) / 1.58605717915 - 1) < 1e-11
+    with pytest.raises(dj.SceneError, match="no_zero_voltage_state"):
+        dj.zero_voltage_point(scene, 3)
+
+    def of(volume):
+        return dj.zero_voltage_point(scene.replace(initial_volume=volume), -1).volume
+
+    assert abs(float(jax.grad(of)(2.42)) / slope_by_differences(of, 2.42, 1e-3) - 1) < 1e-8
+
+
+def test_the_onset_of_bistability(scene):
+    """p(V, 0) = p_gas(V; V_C, θ) with equal slopes: dV_C/dθ = −(∂p_gas/∂θ)/(∂p_gas/∂V_C) at the V of the tangency."""
+    onset = dj.bistability_point(scene)
+    assert abs(float(onset.parameter) / 1455.896262457 - 1) < 1e-11
+    surface = dj.Surface.build(scene.membrane)
+    at_onset = scene.replace(chamber_volume=float(onset.parameter))
+    gas = slopes_of_gas(surface, at_onset, float(onset.volume), chamber_volume=float(onset.parameter))
+    for name, value in zip(GAS[1:], (2.42, 50.0, 1.0), strict=True):
+        found = jax.grad(lambda v, name=name: dj.bistability_onset(scene.replace(**{name: v})))(value)
+        assert abs(float(found) / (-gas[name] / gas["chamber_volume"]) - 1) < 1e-8
+    assert float(jax.grad(lambda v: dj.bistability_onset(scene.replace(chamber_volume=v)))(1600.0)) == 0
+
+
+def test_cusps(scene, membrane):
+    first, second = (dj.cusp(scene, k, within=(300.0, 3000.0)) for k in (0, 1))
+    assert abs(float(first.parameter) - 484.04966) < 5e-6
+    assert abs(float(second.parameter) - 551.39914) < 5e-6
+    with pytest.raises(dj.SceneError, match="no_cusp"):
+        dj.cusp(scene, 2, within=(300.0, 3000.0))
+    merged = dj.pressure_cusp(membrane, within=(2.0, 2.2))
+    assert abs(float(merged.parameter) - 2.110288) < 5e-7
+    assert abs(float(merged.pressure) - 1.048697) < 5e-7
+    assert abs(float(merged.apex_stretch) - 5.7409) < 5e-5
+
+    def of(outside):
+        return dj.cusp(scene.replace(atmospheric_pressure=outside), 1, within=(300.0, 3000.0)).parameter
+
+    assert abs(float(jax.grad(of)(50.0)) / slope_by_differences(of, 50.0, 0.1) - 1) < 1e-7
