@@ -144,7 +144,12 @@ def maximise_area_strain(
             evaluations += climb.evaluations
             if found is None or (best is not None and found[1] <= best[1] + 1e-12):
                 break
-            if _is_true(climb, found[0], names):
+            if not _is_true(climb, found[0], names):
+                # the climb left the shape of its ramp: the design it began with remains
+                rows = climb.rows(z)
+                fulfils = rows is not None and np.isfinite(strain[number])
+                found = (z, float(rows[0][held].min())) if fulfils else None
+            if found is not None and (best is None or found[1] > best[1] + 1e-12):
                 best = found[0], found[1], held, climb
     if best is None:
         raise ValueError("`over` must hold a design that fulfils the constraints, but none was found in these ranges.")
