@@ -21,6 +21,7 @@ _COLOURS = {
     Regime.breaks_before_snap: "#E8B8A0",
     Regime.no_landing: "#A9A9B8",
     Regime.breaks_in_snap: "#CC7A68",
+    Regime.no_unbroken_landing: "#BB9290",
     Regime.stays: "#9CC7E0",
     Regime.returns: "#BFE3C5",
 }
