@@ -4,6 +4,7 @@ import pathlib
 import re
 
 import matplotlib
+import matplotlib.pyplot
 import pytest
 
 DOCS = pathlib.Path(__file__).parent.parent / "docs"
