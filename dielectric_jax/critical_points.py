@@ -250,8 +250,8 @@ def snap_voltage(scene: Scene, *, surface: Surface | None = None):
     >>> round(float(snap_voltage(scene)), 10)
     0.0764953595
     >>> slope = jax.grad(lambda vc: snap_voltage(scene.replace(chamber_volume=vc)))(1600.0)
-    >>> round(float(slope), 12)
-    -1.2703e-05
+    >>> round(1e5 * float(slope), 6)
+    -1.27029
     """
     return _fold_voltage(scene, "snap", surface)
 

@@ -19,6 +19,7 @@ if "DIELECTRIC_JAX_TESTS" not in os.environ:
 
 import hypothesis
 import jax
+import jax.numpy as jnp
 import pytest
 from jax.experimental.compilation_cache import compilation_cache
 
@@ -100,3 +101,44 @@ def curve():
         return dj.pressure_volume(dj.Membrane(prestretch=prestretch), voltage)
 
     return build
+
+
+GAS = ("chamber_volume", "initial_volume", "atmospheric_pressure", "polytropic_exponent")
+
+
+@pytest.fixture(scope="session")
+def slope_by_differences():
+    """`slope_by_differences(function, x, step)`: the fourth-order central difference."""
+
+    def slope(function, x, step):
+        near, far = (float(function(x + k * step)) - float(function(x - k * step)) for k in (1, 2))
+        return (8 * near - far) / (12 * step)
+
+    return slope
+
+
+@pytest.fixture(scope="session")
+def slopes_of_gas(membrane):
+    """`slopes_of_gas(volume, chamber_volume)`: ∂p_gas/∂θ at given V for the parameters of a chamber with V_0 = 2.42.
+
+    (24) is written out; the filling's p_0 moves with V_0 along the p–V curve.
+    """
+    start = dj.equilibrium(membrane, volume=2.42)
+    surface = dj.Surface.build(membrane)
+
+    def gas_pressure(values, filling_pressure, volume):
+        v_c, v_0, p_atm, n = (values[name] for name in GAS)
+        return (filling_pressure + p_atm) * ((v_0 + v_c) / (volume + v_c)) ** n - p_atm
+
+    def line(apex):
+        state = surface(apex, 0.0)
+        return jnp.stack([state.pressure, state.volume])
+
+    def slopes(volume, chamber_volume=1600.0):
+        values = dict(zip(GAS, (chamber_volume, 2.42, 50.0, 1.0), strict=True))
+        by_p, by_v = jax.jacfwd(line)(start.apex_stretch)
+        found = jax.grad(gas_pressure)(values, start.pressure, volume)
+        found["initial_volume"] += jax.grad(gas_pressure, 1)(values, start.pressure, volume) * by_p / by_v
+        return {name: float(v) for name, v in found.items()}
+
+    return slopes
