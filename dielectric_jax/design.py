@@ -135,17 +135,22 @@ def maximise_area_strain(
         z = np.array([i / (n - 1) for i, n in zip(np.unravel_index(number, counts), counts, strict=True)])
         kind = Kind(int(nominal.ramps.snaps[number]), way_down is not None and nominal.ramps.snaps[number] > 0)
         begin = begin_of(kind, nominal.ramps, np.array([number]))
-        for _ in range(1 if quantile is None else 3):
-            held = _held(scenes, names, values[number], wishes, share) if best is None else best[2]
+        x = values[number]
+        for _ in range(1 if quantile is None else 3):  # at the design that was found others may be the worst
+            held = _held(scenes, names, x, wishes, share)
             climb = Climb(kind, scenes, axes, wishes, held)
             if not climb.seed(z, [begin] * len(scenes)):
                 break
             found = climb.run(z)
             evaluations += climb.evaluations
+            if found is not None and not _is_true(climb, found[0], names):
+                # the climb left the shape of its ramp: the design it began with remains
+                rows = climb.rows(z) if np.isfinite(strain[number]) else None
+                found = None if rows is None else (z, float(rows[0][held].min()))
             if found is None or (best is not None and found[1] <= best[1] + 1e-12):
                 break
-            if _is_true(climb, found[0], names):
-                best = found[0], found[1], held, climb
+            best = found[0], found[1], held, climb
+            x = climb.place(found[0])[0]
     if best is None:
         raise ValueError("`over` must hold a design that fulfils the constraints, but none was found in these ranges.")
     return _answer(scene, best, evaluations, compare, check, share)
