@@ -48,6 +48,7 @@ _ROOMS = {
     "designs": ("Designs", "classify_designs"),
     "regime_maps": ("Boundary", "RegimeEdge", "RegimeMap", "regime_edges", "regime_map"),
     "regime_plots": ("plot_regime_map",),
+    "objectives": ("Optimum", "maximise"),
     "design": ("Design", "maximise_area_strain"),
     "cache": ("enable_compilation_cache",),
 }
@@ -88,6 +89,7 @@ if typing.TYPE_CHECKING:
         stresses,
     )
     from .membrane import Membrane, Profile, vhb_4910
+    from .objectives import Optimum, maximise
     from .profiles import energy, profile, scaling_defect
     from .records import Branch, Event, Ramp, SpecialPoint, State
     from .regime_maps import Boundary, RegimeEdge, RegimeMap, regime_edges, regime_map
