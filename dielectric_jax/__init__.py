@@ -80,6 +80,7 @@ _ROOMS = {
     "designs": ("Designs", "classify_designs"),
     "regime_maps": ("Boundary", "RegimeEdge", "RegimeMap", "regime_edges", "regime_map"),
     "regime_plots": ("plot_regime_map",),
+    "objectives": ("Optimum", "maximise"),
     "design": ("Design", "maximise_area_strain"),
     "cache": ("enable_compilation_cache",),
 }
@@ -137,6 +138,7 @@ if typing.TYPE_CHECKING:
     )
     from .measurements import read_measurement
     from .membrane import Membrane, Profile, vhb_4910
+    from .objectives import Optimum, maximise
     from .paper import reproduce
     from .paper_statements import Statement
     from .portraits import breakdown_latitudes, plot_cross_section, plot_distribution

@@ -38,7 +38,8 @@ def kind_between(one: Regime, other: Regime) -> str | None:
     if Regime.start_unstable in pair:
         return START
     if Regime.no_snap in pair:
-        return MERGING
+        # the first snaps are small: next to another regime the grid has passed over a narrow one
+        return MERGING if pair & {Regime.returns, Regime.breaks_before_snap} else None
     if Regime.breaks_before_snap in pair:
         return FOLD_BREAKS
     if pair == {Regime.stays, Regime.returns}:
@@ -127,7 +128,9 @@ def meet(
     if len(todo):
         equations, points = _EQUATIONS[kind]
         halfway = np.append(guess[todo], np.full((len(todo), 1), 0.5), axis=1)
-        found = solve_on_sheet(equations, points, surface, scene, names, halfway, begin[todo], end[todo], lanes=_LANES)
+        found = solve_on_sheet(
+            equations, points, surface, scene, names, halfway, begin[todo], end[todo], lanes=_LANES, last_move=1e-13
+        )
         place = found.unknowns[:, -1]
         with np.errstate(invalid="ignore"):
             good = (found.size < 1e-8) & (np.abs(place - 0.5) <= 0.5 + 1e-6 + beyond[todo])

@@ -18,6 +18,7 @@ __all__ = ["NEAR", "Axis", "Climb", "Wishes", "axis_of", "inwards", "scan_design
 
 NEAR = 1e-6  # a constraint this near to its limit holds with equality
 _FAILED = 1e2
+_AT_END = 1e-9  # of a range: nearer to it is at it
 _CLOSE = 1e-5  # constraints this near to their limit are met exactly in the end
 
 
@@ -231,14 +232,16 @@ class Climb:
 
     def _polished(self, z: np.ndarray, reached: float) -> tuple:
         """The design moved onto the constraints that it all but meets, where Newton's method on them stays there."""
-        place = z
+        place = np.where(z < _AT_END, 0.0, np.where(z > 1 - _AT_END, 1.0, z))
         for _ in range(3):
             rows = self.rows(place)
             if rows is None:
                 return z, reached
             near = [(v, s) for _, j, v, s in rows[2] if self.held[j] and abs(v) < _CLOSE]
             free = (place > 0) & (place < 1)
-            if not near or not free.any() or len(near) > free.sum():
+            if not near:
+                break
+            if len(near) > free.sum():
                 return z, reached
             slopes = np.array([s for _, s in near]) * free
             move = np.linalg.lstsq(slopes, -np.array([v for v, _ in near]), rcond=None)[0]

@@ -135,22 +135,25 @@ def maximise_area_strain(
         z = np.array([i / (n - 1) for i, n in zip(np.unravel_index(number, counts), counts, strict=True)])
         kind = Kind(int(nominal.ramps.snaps[number]), way_down is not None and nominal.ramps.snaps[number] > 0)
         begin = begin_of(kind, nominal.ramps, np.array([number]))
-        for _ in range(1 if quantile is None else 3):
-            held = _held(scenes, names, values[number], wishes, share) if best is None else best[2]
+        x = values[number]
+        for _ in range(1 if quantile is None else 3):  # at the design that was found others may be the worst
+            held = _held(scenes, names, x, wishes, share)
             climb = Climb(kind, scenes, axes, wishes, held)
             if not climb.seed(z, [begin] * len(scenes)):
                 break
             found = climb.run(z)
             evaluations += climb.evaluations
-            if found is None or (best is not None and found[1] <= best[1] + 1e-12):
+            least = -np.inf if best is None else best[1] + 1e-9
+            if found is None or found[1] <= least:
                 break
             if not _is_true(climb, found[0], names):
                 # the climb left the shape of its ramp: the design it began with remains
-                rows = climb.rows(z)
-                fulfils = rows is not None and np.isfinite(strain[number])
-                found = (z, float(rows[0][held].min())) if fulfils else None
-            if found is not None and (best is None or found[1] > best[1] + 1e-12):
-                best = found[0], found[1], held, climb
+                rows = climb.rows(z) if np.isfinite(strain[number]) else None
+                if rows is None or rows[0][held].min() <= least:
+                    break
+                found = z, float(rows[0][held].min())
+            best = found[0], found[1], held, climb
+            x = climb.place(found[0])[0]
     if best is None:
         raise ValueError("`over` must hold a design that fulfils the constraints, but none was found in these ranges.")
     return _answer(scene, best, evaluations, compare, check, share)
@@ -206,13 +209,29 @@ def _is_true(climb: Climb, z: np.ndarray, names: tuple) -> bool:
         scenario = climb.scenes[j]
         given = dict(zip(names, (climb.place(moved)[0] * scenario.factors)[:, None], strict=True))
         ramps = classify_designs(scenario.real, given, surface=scenario.sheet, whole=False).ramps
-        if ramps.snaps[0] != climb.kind.snaps or ramps.outcome[0] != Outcome.breakdown_on_branch:
+        mine = climb.unknowns(moved)[j][: 1 + 3 * climb.kind.snaps]
+        if ramps.outcome[0] == Outcome.unresolved:
+            values = {n: float(v[0]) for n, v in given.items()}
+            other = _events_of(scenario.real.replace(**values))
+        elif ramps.outcome[0] == Outcome.breakdown_on_branch and ramps.snaps[0] == climb.kind.snaps:
+            other = begin_of(climb.kind, ramps, np.array([0]))[0][: len(mine)]
+        else:
             return False
-        events = slice(1 + 3 * climb.kind.snaps)
-        mine, other = climb.unknowns(moved)[j][events], begin_of(climb.kind, ramps, np.array([0]))[0][events]
-        if not np.allclose(mine, other, rtol=1e-5, atol=0):
+        if len(other) != len(mine) or not np.allclose(mine, other, rtol=1e-5, atol=0):
             return False
     return True
+
+
+def _events_of(scene: Scene) -> np.ndarray:
+    """Start, and (λa, q) of every snap with the λa of its landing, of a ramp to breakdown on the branch, by its diagram."""
+    up = voltage_volume(scene).ramp()
+    if up.area_strain_reason != "breakdown on the branch":
+        return np.empty(0)
+    jumps = [
+        (snap.state.apex_stretch, snap.state.voltage_squared, landing.state.apex_stretch)
+        for snap, landing in zip(up["snap"], up["landing"], strict=True)
+    ]
+    return np.array([up.events[0].state.apex_stretch, *itertools.chain(*jumps)])
 
 
 def _answer(scene: Scene, best, evaluations: int, compare: int, check: bool, share: float) -> Design:

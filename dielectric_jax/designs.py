@@ -6,6 +6,7 @@ from a coarse chart of the membrane that covers the whole window.
 
 import dataclasses
 import functools
+import itertools
 import typing
 
 import jax
@@ -20,9 +21,12 @@ from .membrane import Membrane
 from .regimes import regimes_of_ramps
 from .scene import Scene
 from .searches import loading_columns
-from .surface import Surface
+from .surface import ById, Surface
 
-__all__ = ["Designs", "classify_designs", "surface_for"]
+__all__ = ["MATERIAL_CONSTANTS", "Designs", "classify_designs", "sheet_over", "surface_for"]
+
+MATERIAL_CONSTANTS = ("stretch_limit", "chain_links")
+_TYPICAL = 5.0  # a stretch at which breakdown laws are compared
 
 
 class Designs(typing.NamedTuple):
@@ -56,11 +60,25 @@ def _row(columns, which):
     return jax.tree.map(lambda v: v[which], columns)
 
 
+def sheet_over(scene: Scene, over: dict, given: typing.Any) -> Surface | SurfaceFamily | None:
+    """One surface, or family, for all designs over ranges of parameters, where one serves; else None."""
+    if given is not None or any(n in over for n in MATERIAL_CONSTANTS):
+        return given
+    if "prestretch" in over:
+        low, high = over["prestretch"]
+        law = scene.membrane.breakdown
+        return SurfaceFamily.build(scene.membrane.material, prestretch=(low, high), breakdown=law)
+    # the law decides how far the surface goes: the strongest of the corners'
+    corners = [dict(zip(over, values, strict=True)) for values in itertools.product(*over.values())]
+    films = [scene.replace(**corner).membrane for corner in corners]
+    return _built(ByLeaves.of(max(films, key=lambda film: float(film.breakdown.field(_TYPICAL)))))
+
+
 def surface_for(membrane: Membrane, given: typing.Any) -> Surface:
     """The surface of a membrane: the one given, a family's section, or one that is built; with the membrane's own law."""
     if isinstance(given, SurfaceFamily):
         key = ByLeaves.of(Membrane(given.material, float(membrane.prestretch), given.breakdown))
-        found = _section(_ById(given), key)
+        found = _section(ById(given), key)
     elif given is None:
         found = _built(ByLeaves.of(membrane))
     else:
@@ -72,24 +90,11 @@ def surface_for(membrane: Membrane, given: typing.Any) -> Surface:
             )
     if found.belongs_to(membrane):
         return found
-    return _with_law(_ById(found), ByLeaves.of(membrane))
-
-
-class _ById:
-    """An object as a key of caches by its identity."""
-
-    def __init__(self, value):
-        self.value = value
-
-    def __hash__(self):
-        return id(self.value)
-
-    def __eq__(self, other):
-        return self.value is other.value
+    return _with_law(ById(found), ByLeaves.of(membrane))
 
 
 @functools.lru_cache(maxsize=128)
-def _section(family: _ById, key: ByLeaves) -> Surface:
+def _section(family: ById, key: ByLeaves) -> Surface:
     return family.value.surface(float(key.membrane.prestretch))
 
 
@@ -99,7 +104,7 @@ def _built(key: ByLeaves) -> Surface:
 
 
 @functools.lru_cache(maxsize=256)
-def _with_law(surface: _ById, key: ByLeaves) -> Surface:
+def _with_law(surface: ById, key: ByLeaves) -> Surface:
     """The same sheet under another breakdown law."""
     return dataclasses.replace(surface.value, membrane=key.membrane)
 

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.ndimage
 
 from .boundaries import FOLD_BREAKS, LANDING_BREAKS, MERGING, REST, completed, guesses, kind_between, meet, snaps
-from .designs import Designs, classify_designs, surface_for
+from .designs import MATERIAL_CONSTANTS, Designs, classify_designs, sheet_over, surface_for
 from .ensemble import Outcome, Ramps
 from .family import SurfaceFamily
 from .grid_lines import beside_change, chains, changes
@@ -30,7 +30,9 @@ _ISLAND = 6  # designs
 _VAGUE = 3.0  # cells
 _DECADES = 1.2  # a range wider than this many decades is divided evenly in the logarithm
 #: parameters with another sheet of states at every value
-_SHEETS = ("prestretch", "stretch_limit", "chain_links")
+_SHEETS = ("prestretch", *MATERIAL_CONSTANTS)
+#: … or another breakdown law
+_LAWS = ("breakdown_field_scale", "shear_modulus", "permittivity")
 _POINTS, _SHEET_POINTS = 400, 25
 
 
@@ -133,10 +135,12 @@ def check_range(name: str, limits) -> tuple[float, float]:
 class _Known:
     """The designs classified so far, by what they are: regimes and ramps."""
 
-    def __init__(self, scene: Scene, names: tuple, surface):
-        self.scene, self.names, self.surface = scene, names, surface
+    def __init__(self, scene: Scene, over: dict, surface):
+        ranges = {name: check_range(name, limits) for name, limits in over.items()}
+        self.scene, self.names = scene, tuple(over)
+        self.surface = sheet_over(scene, ranges, surface)
         self.parts: list[Designs] = []
-        self.values = np.empty((0, len(names)))
+        self.values = np.empty((0, len(over)))
         self.regime = np.empty(0, int)
 
     def add(self, values: np.ndarray) -> np.ndarray:
@@ -240,10 +244,9 @@ def regime_edges(
     >>> [(round(e.value, 5), e.above.name) for e in edges]
     [(467.85018, 'returns'), (484.04966, 'no_snap'), (551.39914, 'returns'), (1455.89626, 'stays')]
     """
-    names = tuple(over)
-    if len(names) != 1:
-        raise ValueError(f"`over` must name one parameter, but names {len(names)}.")
-    known = _Known(scene, names, surface)
+    if len(over) != 1:
+        raise ValueError(f"`over` must name one parameter, but names {len(over)}.")
+    known, names = _Known(scene, over, surface), tuple(over)
     number = known.add(even(names[0], over[names[0]], points)[:, None])
     change = np.flatnonzero(np.diff(known.regime[number]))
     if not len(change):
@@ -269,7 +272,7 @@ def regime_map(
         scene: a chamber or a constant pressure.
         over: the two parameters and their ranges, `{"chamber_volume": (200.0, 25000.0), "initial_volume": (2.0, 2.9)}`.
         points: designs along each, by default 400; 25 along a parameter that changes the sheet of states (prestretch and the
-            constants of the material), because each value needs a surface of its own.
+            constants of the material) or the breakdown law, because each value needs a surface of its own.
         surface: of the scene's membrane, or a family where the prestretch varies; built where it is left out.
 
     Raises:
@@ -280,7 +283,7 @@ def regime_map(
         raise ValueError(f"`over` must name two parameters, but names {len(names)}.")
     counts = _counts(names, points)
     x, y = (even(n, over[n], count) for n, count in zip(names, counts, strict=True))
-    known = _Known(scene, names, surface)
+    known = _Known(scene, over, surface)
     number = np.full((len(y), len(x)), -1)
 
     def classify(rows, columns):
@@ -290,7 +293,7 @@ def regime_map(
             number[new[:, 0], new[:, 1]] = known.add(np.stack([x[new[:, 1]], y[new[:, 0]]], axis=1))
 
     def ticks(name, count, stride):
-        return np.unique([*range(0, count, 1 if name in _SHEETS else stride), count - 1])
+        return np.unique([*range(0, count, 1 if name in (*_SHEETS, *_LAWS) else stride), count - 1])
 
     stride = _COARSE
     rows, columns = (ticks(n, c, stride) for n, c in zip(names[::-1], (len(y), len(x)), strict=True))
@@ -342,7 +345,7 @@ def _join_islands(known: _Known, number, whole) -> None:
 
 def _counts(names, points) -> tuple[int, int]:
     if points is None:
-        first, second = (_SHEET_POINTS if n in _SHEETS else _POINTS for n in names)
+        first, second = (_SHEET_POINTS if n in (*_SHEETS, *_LAWS) else _POINTS for n in names)
         return first, second
     counts = (points, points) if isinstance(points, int) else tuple(points)
     for count in counts:

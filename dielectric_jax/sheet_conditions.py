@@ -166,12 +166,13 @@ def solve_on_sheet(
     end: np.ndarray | None = None,
     *,
     lanes: int = 1,
+    last_move: float = 1e-8,
 ) -> Solved:
     """Solves `equations(conditions, u) = rows, measures` for designs θ (n, parameters) by Newton's method.
 
     `points` says where they read the sheet: pairs (unknown that is λa, unknown that is q or −1 for q = 0). With `end` the
     last unknown s is the place between two designs, θ = begin + s (end − begin). Whole blocks of `lanes` designs share one
-    compiled program. NaN where Newton leaves the sheet.
+    compiled program. Newton ends with moves below `last_move`, what is left being their square. NaN where it leaves the sheet.
     """
     segment = end is not None
     u, count = np.array(guess, float), len(guess)
@@ -190,7 +191,7 @@ def solve_on_sheet(
             size = np.abs(move).max(axis=1)
             move *= np.minimum(1.0, 0.3 / np.maximum(size, 1e-300))[:, None]
         u = u + move * scale
-        if not np.any(size > 1e-8):  # what is left is its square
+        if not np.any(size > last_move):
             break
     value, jacobian = _evaluated(equations, points, sheet, scene, names, u, begin, end, lanes)
     by_u, by_theta = jacobian[..., :unknowns], jacobian[..., unknowns:]

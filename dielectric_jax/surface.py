@@ -207,9 +207,9 @@ class Surface(eqx.Module):
 
 
 class ById:
-    """A surface as a key of caches: the object itself, not its arrays."""
+    """A surface, or a family, as a key of caches: the object itself, not its arrays."""
 
-    def __init__(self, value: Surface):
+    def __init__(self, value: typing.Any):
         self.value = value
 
     def __hash__(self):

@@ -99,6 +99,20 @@ def test_slopes(scene, surface):
     assert abs(slope["landing_0"] / (landing[2] - landing[0]) - 1) < 1e-6
 
 
+def test_an_objective_of_ones_own(scene, surface):
+    """The area strain as the user's own function, its landing at 0.8: the answer of the other way."""
+    best = dj.maximise_area_strain(scene, CHAMBERS, survival_margin=0.2, surface=surface, check=False)
+    found = dj.maximise(
+        lambda s: dj.area_strain(s, surface=surface),
+        scene,
+        {"chamber_volume": (6000.0, 15000.0)},
+        constraints={"landing": lambda s: 0.8 - dj.landing_point(s, surface=surface, throw=False).breakdown_ratio},
+    )
+    assert found.active == ("landing",) and abs(found.value / best.area_strain - 1) < 1e-6
+    with pytest.raises(ValueError, match="`objective` must be a number somewhere"):
+        dj.maximise(lambda s: s.loading.volume * np.nan, scene, CHAMBERS)
+
+
 def test_refusals(scene):
     with pytest.raises(ValueError, match="`over` must name at least one"):
         dj.maximise_area_strain(scene, {})

@@ -88,6 +88,7 @@ ROOMS = [
     "scenarios",
     "design_points",
     "climbing",
+    "objectives",
     "design",
     "design_files",
     "arguments",
