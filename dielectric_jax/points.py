@@ -105,7 +105,9 @@ def _assemble(kind: str, wanted: tuple, engine, u, theta: Conditions, rims, by_l
 
     value = of(known, u, theta)
     by_u = [
-        jax.jvp(lambda rims, u: of(rims, u, theta), (known, u), (tuple(v[..., k] for v in above), jnp.asarray(_AXES[k])))[1]
+        jax.jvp(
+            lambda rims, u: of(rims, u, theta), (known, u), (tuple(v[..., k] for v in above), jnp.asarray(_AXES[k]))
+        )[1]
         for k in range(3)
     ]
     columns = []

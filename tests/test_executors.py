@@ -117,9 +117,10 @@ def test_an_interrupt_leaves_a_store_to_resume(tmp_path, kept_surfaces):
     )
     store = tmp_path / "s.zarr"
     command = [sys.executable, "-m", "dielectric_jax.cli", "sweep", str(spec), "--output", str(store), "--workers", "1"]
-    options: dict = {"stderr": subprocess.PIPE, "text": True, "start_new_session": True}
-    # a test run in the background ignores interrupts, and its children with it
-    process = subprocess.Popen(command, **options, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL))
+    # a test run in the background ignores interrupts, and its children would with it
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    signal.signal(signal.SIGINT, before)
     while not (store / "block_done" / "c").exists():
         assert process.poll() is None
         time.sleep(0.05)

@@ -52,6 +52,12 @@ def test_known_filling(scene, surface):
     assert abs(edge.value / 2.361001148 - 1) < 2e-10 and edge.above == Regime.stays
 
 
+def test_edges_by_shooting(scene, edges):
+    """E/E_EB of the landing is 1 at its edge, by shooting, which knows no surface."""
+    at = scene.replace(chamber_volume=edges[0].value)
+    assert abs(dj.landing_point(at).breakdown_ratio - 1) < 1e-10
+
+
 def test_both_sides_of_every_curve(small, scene, surface):
     """A hundredth of a cell beside each point, across a row of the grid, the two regimes are those of the curve."""
     step, seen = np.log(25000 / 300) / 59, 0
