@@ -269,7 +269,7 @@ def _locate_roots(solver, curves, wanted, tolerance, near: dict):
             first[active],
             at,
             tolerance=tolerance / 2,
-            refine=np.array(["fold" in wanted[n][0] for n in active]),  # folds want exact tangents
+            refine=np.array([_is_fine(wanted[n][0]) for n in active]),
         )
         f = values(found, active)
         below = ((f < 0) == (f_low[active] < 0)) & np.isfinite(f)
@@ -287,8 +287,8 @@ def _locate_roots(solver, curves, wanted, tolerance, near: dict):
         change[active] = np.abs(new - at)
         for k, n in enumerate(active):
             trials[n] = [*trials[n][-1:], found.take(np.array([k]))]
-        first_try = np.where(smooth[active], _SMALL, _EXACT)
-        done = change[active] < np.where(np.isfinite(last[active]), _CLOSE, first_try)
+        first_try, later = (np.where(smooth[active], limit, _EXACT) for limit in (_SMALL, _CLOSE))
+        done = change[active] < np.where(np.isfinite(last[active]), later, first_try)
         for k in np.flatnonzero(done):
             n = active[k]
             if len(trials[n]) > 1 and change[n] > _EXACT:
@@ -313,14 +313,19 @@ def _locate_roots(solver, curves, wanted, tolerance, near: dict):
             missed.append(wanted[n])
             continue
         # what the remaining step along the branch would change in the located quantity
-        along = change[n] * gap[n] * np.abs(point.tangent[0] * SCALE)
+        along = change[n] * gap[n] * np.abs(point.tangent[0] * SCALE) / np.maximum(np.abs(point.u[:, 0]), 1e-3)
         if "fold" in kind:
-            along = along * change[n]
-        column = 1 if kind == "pressure_fold" else 2
-        rest = along[column] / max(abs(point.u[column, 0]), 1e-3) if kind != "zero_voltage" else 0.0
+            rest = along[min(FOLDS[kind], 2)] * change[n]
+        else:
+            rest = along[1] if kind == "zero_voltage" else along[1:].max()
         position = curves[branch].position[i] + share[n] * gap[n]
         out[wanted[n]] = Located(kind, branch, float(position), point, float(max(point.error[0], rest)))
     return out, missed
+
+
+def _is_fine(kind: str) -> bool:
+    """Whether an event's function wants a finer grid than the state: the slope of a fold, a stress along the membrane."""
+    return kind in FOLDS or kind == "hoop_tension_loss"
 
 
 def _line(before: Points, last: Points, along: float) -> Points:

@@ -205,8 +205,8 @@ def polish(
     """Newton from `u` (3, lanes) onto the contour, with rows·u = targets; `rows` is (lanes, 3).
 
     A row of NaN asks for a volume: V = target. `reach` bounds the total correction in scaled unknowns: farther means not
-    converged. `refine`, one for all or each lane, takes tangent and index from a finer grid at the end, as is done near
-    folds anyway. Lanes that fail have ok = False and never disturb the others.
+    converged. `refine`, one for all or each lane, takes the state from the third grid at least, tangent and index from a
+    finer one at the end, as is done near folds anyway. Lanes that fail have ok = False and never disturb the others.
     """
     await_programs(membrane)
     u, rows, targets = np.array(u, float), np.asarray(rows, float), np.asarray(targets, float)
@@ -357,7 +357,9 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, level, refine
             break
         discretisation[active] = np.abs(correct(active, steps, last=steps == ladder[-1]))
         estimate_errors(active)
-        active = active[~(estimate[active] <= tolerance)]
+        # stresses along the membrane want one grid more than the state
+        enough = (estimate[active] <= tolerance) & ~(refine[active] & (steps == ladder[1]))
+        active = active[~enough]
     if level and len(active):
         # within the scanned loads only: beyond them a branch ends where the estimate does
         active = active[(load_fraction(membrane, u[:, active]) <= SCANNED_LOAD) & (estimate[active] < _HOPELESS)]
