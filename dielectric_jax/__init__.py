@@ -41,6 +41,7 @@ _ROOMS = {
         "pressure_ramps",
     ),
     "family": ("SurfaceFamily",),
+    "plotting": ("plot_chamber", "plot_diagram", "plot_pressure_volume", "plot_voltage_volume"),
     "portraits": ("breakdown_latitudes", "plot_cross_section", "plot_distribution"),
     "material_page": ("balloon_pressure", "plot_material", "tension_curves"),
     "animation": ("animate_ramp", "plot_ramp", "ramp_path"),
@@ -141,6 +142,7 @@ if typing.TYPE_CHECKING:
     from .objectives import Optimum, maximise
     from .paper import reproduce
     from .paper_statements import Statement
+    from .plotting import plot_chamber, plot_diagram, plot_pressure_volume, plot_voltage_volume
     from .portraits import breakdown_latitudes, plot_cross_section, plot_distribution
     from .profiles import energy, profile, scaling_defect
     from .reading import best_designs, compare_sweeps, count_sweep, export_sweep, plot_sweep, select_regime

@@ -9,7 +9,6 @@ import concurrent.futures
 import dataclasses
 import functools
 import itertools
-import os
 import typing
 from collections.abc import Sequence
 
@@ -27,6 +26,7 @@ from .lanes import LEVEL, VOLUME, march_program, new_walks
 from .loading import Chamber, ConstantPressure, ConstantVoltage, Contour
 from .membrane import Membrane
 from .polylines import Polylines
+from .programs import cores
 from .results import Code
 from .scene import Scene
 from .states import check_request
@@ -83,7 +83,7 @@ def continue_scenes(scenes: Sequence[Scene], *, tolerance: float = 1e-8) -> Batc
         groups.setdefault(jax.tree.structure(scene.membrane), []).append(i)
     share = min(_BLOCK, max(LANES, -(-len(scenes) // 2)))
     blocks = [own[i : i + share] for own in groups.values() for i in range(0, len(own), share)]
-    with concurrent.futures.ThreadPoolExecutor(os.cpu_count() or 1) as pool:  # blocks wait for the threads of the map
+    with concurrent.futures.ThreadPoolExecutor(cores()) as pool:  # blocks wait for the threads of the map
         done = list(pool.map(lambda own: _block([scenes[i] for i in own], tolerance), blocks))
     order = np.argsort(np.concatenate(blocks))
     most = max(part.branches.shape[1] for part in done)

@@ -13,6 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 from scipy.stats import t as student
 
@@ -208,8 +209,8 @@ def _minimum(model: Callable, free: np.ndarray, pressure: np.ndarray, loss: str,
 
 
 def calibrate(
-    volume,
-    pressure,
+    volume: ArrayLike,
+    pressure: ArrayLike,
     *,
     membrane: Membrane | None = None,
     over: Sequence[str] | None = None,

@@ -13,6 +13,7 @@ import threading
 import typing
 from collections.abc import Callable, Iterator, Sequence
 
+from .programs import cores
 from .results import WorkersLost
 from .store import need
 
@@ -21,8 +22,9 @@ __all__ = ["Progress", "executor_of", "run_blocks"]
 _DEATHS = 3  # of worker processes in succession, without a block between them
 
 
-def _begin_worker() -> None:
-    """In a worker process: an interrupt is the parent's business, and when the parent is gone so is the worker."""
+def _begin_worker(share: int) -> None:
+    """In a worker process: a share of the cores; an interrupt is the parent's business, and it goes with its parent."""
+    os.environ["DIELECTRIC_JAX_CORES"] = str(share)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
 
@@ -43,7 +45,10 @@ class _Processes:
 
     def _new(self) -> concurrent.futures.Executor:
         context = multiprocessing.get_context("spawn")
-        return concurrent.futures.ProcessPoolExecutor(self.workers, context, initializer=_begin_worker)
+        share = max(1, cores() // self.workers)
+        return concurrent.futures.ProcessPoolExecutor(
+            self.workers, context, initializer=_begin_worker, initargs=(share,)
+        )
 
     def replace(self) -> None:
         self.executor.shutdown(wait=False, cancel_futures=True)
@@ -82,7 +87,7 @@ def executor_of(what) -> Iterator[_Processes | _Given]:
             yield _Given(executor, max(1, sum(client.nthreads().values())))
         return
     elif isinstance(what, concurrent.futures.Executor) or callable(getattr(what, "submit", None)):
-        yield _Given(typing.cast(concurrent.futures.Executor, what), 4 * (os.cpu_count() or 1))
+        yield _Given(typing.cast(concurrent.futures.Executor, what), 4 * cores())
         return
     else:
         raise ValueError(

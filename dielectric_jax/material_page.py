@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .drawing import COLOURS, new_figure
 from .materials import AbstractBreakdown, AbstractMaterial, VHBBreakdown, largest_load, stresses
@@ -27,7 +28,7 @@ def _free_width(material: AbstractMaterial, stretch: np.ndarray) -> np.ndarray:
     return (low + high) / 2
 
 
-def tension_curves(material: AbstractMaterial, stretch) -> dict[str, np.ndarray]:
+def tension_curves(material: AbstractMaterial, stretch: ArrayLike) -> dict[str, np.ndarray]:
     """Nominal stresses s1 at Φ = 0 against λ1, in units of μ.
 
     Args:

@@ -143,10 +143,20 @@ def value_program(membrane, u, steps):
     return shot.lag, shot.volume, shot.height, shot.charge, least[0], -least[1], admissible, elliptic
 
 
+def cores() -> int:
+    """How many cores batches use: the environment variable DIELECTRIC_JAX_CORES, else those this process may run on."""
+    asked = os.environ.get("DIELECTRIC_JAX_CORES", "")
+    if not asked:
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if not asked.isdecimal() or int(asked) < 1:
+        raise ValueError(f"`DIELECTRIC_JAX_CORES` must be a number of cores, at least 1, but is {asked!r}.")
+    return int(asked)
+
+
 @functools.cache
 def threads() -> concurrent.futures.ThreadPoolExecutor:
     """One thread a core, for work that waits for no other of these threads."""
-    return concurrent.futures.ThreadPoolExecutor(max(os.cpu_count() or 1, 1))
+    return concurrent.futures.ThreadPoolExecutor(cores())
 
 
 _compiling: dict = {}

@@ -130,7 +130,7 @@ def compare_sweeps(one, other) -> dict[str, Any]:
     return found
 
 
-def plot_sweep(data, variable: str, *, x: str, y: str, ax: Axes | None = None, legend: bool = True) -> Axes:
+def plot_sweep(data: Any, variable: str, *, x: str, y: str, ax: Axes | None = None, legend: bool = True) -> Axes:
     """A variable over two parameters: coloured cells on a grid of both, coloured points otherwise; codes have a legend.
 
     Args:

@@ -50,8 +50,8 @@ def sweep(
     block: int | None = None,
     executor: typing.Any = None,
     progress: bool | None = None,
-    **parameters,
-):
+    **parameters: typing.Any,
+) -> typing.Any:
     """The ramps and special points of many scenes: an `xarray.Dataset` on the product of all axes.
 
     Every parameter (`PARAMETERS`) given a list makes an axis of its name; `zipped`, `samples` and `read_scenes` make axes

@@ -12,6 +12,7 @@ import pytest
 
 from dielectric_jax import executors
 from dielectric_jax.executors import Progress, executor_of, run_blocks
+from dielectric_jax.programs import cores
 from dielectric_jax.results import WorkersLost
 
 
@@ -27,6 +28,10 @@ def squared(number, folder=None, victim=None):
 
 def fatal(number):
     os.kill(os.getpid(), signal.SIGKILL)
+
+
+def own_cores(_):
+    return cores()
 
 
 def impossible(number):
@@ -65,6 +70,18 @@ def test_an_executor_of_the_user_is_used_and_its_errors_are_told():
                 run_blocks(pool, impossible, tasks_of([3]), found.setdefault)
         assert own.submit(squared, 4).result() == 16  # it is left open
     assert found == {n: n * n for n in range(50)}
+
+
+def test_workers_share_the_cores(monkeypatch):
+    monkeypatch.setenv("DIELECTRIC_JAX_CORES", "6")
+    found = []
+    with executor_of(2) as pool:
+        run_blocks(pool, own_cores, tasks_of(range(2)), lambda _, count: found.append(count))
+    assert found == [3, 3] and cores() == 6
+    for wrong in ("0", "many"):
+        monkeypatch.setenv("DIELECTRIC_JAX_CORES", wrong)
+        with pytest.raises(ValueError, match="`DIELECTRIC_JAX_CORES` must be a number of cores"):
+            cores()
 
 
 DASK = """

@@ -1,0 +1,53 @@
+"""The site of the documentation: it builds without a warning, and its pages hold every public name and every command."""
+
+import os
+import pathlib
+import re
+import shlex
+import subprocess
+import sys
+
+import pytest
+
+import dielectric_jax as dj
+from dielectric_jax.arguments import read_arguments
+
+ROOT = pathlib.Path(__file__).parent.parent
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+
+def commands():
+    for page in PAGES:
+        for match in re.finditer(r"^ {4}.*$(?:\n {4}.*$)*", page.read_text(encoding="utf-8"), re.MULTILINE):
+            text = match[0].replace("\\\n", " ")
+            for line in re.split(r"\n|&&", text):
+                words = shlex.split(line)
+                if words and words[0].endswith("dielectric-jax"):
+                    yield pytest.param(words[1:], id=f"{page.name}:{' '.join(words[1:3])}")
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", folder]
+    environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+def test_every_public_name_has_its_entry(site):
+    text = "".join(page.read_text(encoding="utf-8") for page in (site / "api").rglob("*.html"))
+    ids = set(re.findall(r'id="dielectric_jax\.(\w+)"', text))
+    assert ids == set(dj.__all__)
+    assert 'class="gp">&gt;&gt;&gt; <' in text  # examples are blocks of code
+
+
+@pytest.mark.parametrize("words", list(commands()))
+def test_commands_are_understood(words, monkeypatch, tmp_path):
+    """Names of options and their values; what commands answer is tested with the command line."""
+    monkeypatch.chdir(ROOT)  # the example files are named from there
+    for name in [w for w in words if w.endswith(".csv")]:
+        words[words.index(name)] = str(tmp_path / name)
+        (tmp_path / name).touch()
+    assert read_arguments(words).command == words[0]
