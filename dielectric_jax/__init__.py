@@ -66,7 +66,8 @@ _ROOMS = {
     "axes": ("Axis", "read_scenes", "samples", "zipped"),
     "columns": ("Answer",),
     "sweeps": ("open_sweep", "sweep"),
-    "specification": ("read_specification", "scene_of"),
+    "documents": ("scene_of",),
+    "specification": ("read_specification",),
     "reading": ("best_designs", "compare_sweeps", "count_sweep", "export_sweep", "plot_sweep", "select_regime"),
     "turning_points": (
         "bistability_onset",
@@ -112,6 +113,7 @@ if typing.TYPE_CHECKING:
     from .design import Design, maximise_area_strain
     from .designs import Designs, classify_designs
     from .diagram import Diagram, pressure_volume, voltage_volume
+    from .documents import scene_of
     from .elastomers import CustomPermittivity, Electrostrictive, MooneyRivlin, Ogden
     from .ensemble import (
         Curves,
@@ -153,7 +155,7 @@ if typing.TYPE_CHECKING:
     from .results import Code, SceneError
     from .scene import PARAMETERS, Scene, Window, describe
     from .shooting import shoot
-    from .specification import read_specification, scene_of
+    from .specification import read_specification
     from .stability import Stability, stability_of
     from .states import equilibrium
     from .surface import SheetState, Surface

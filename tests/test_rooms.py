@@ -75,6 +75,7 @@ ROOMS = [
     "store",
     "executors",
     "sweeps",
+    "documents",
     "specification",
     "reading",
     "turning_points",

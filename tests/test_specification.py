@@ -64,7 +64,7 @@ def test_every_kind_of_axis(tmp_path, kept_surfaces):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("[scene", "`SPEC` must hold TOML"),
+        ("[scene", "`SPEC` must be a file of TOML"),
         ("speed = 3", "`speed`"),
         ("block = 2.5", "`block`"),
         ("curves = 1", "`curves`"),
@@ -97,3 +97,19 @@ def test_what_is_wrong_is_named(tmp_path, text, said):
     with pytest.raises(ValueError) as error:
         dj.read_specification(spec)
     assert said in str(error.value)
+
+
+def test_constants_in_si_vary(tmp_path):
+    """A softer film under the same air: p_atm in its own units is larger by the ratio of the moduli, and so the snap."""
+    spec = tmp_path / "spec.toml"
+    text = "[scene]\nchamber_volume = 1600\ninitial_volume = 2.42\n[product]\nshear_modulus = [40e3, 45e3]\n"
+    spec.write_text(text)
+    with pytest.raises(ValueError, match=r"`shear_modulus` must have a \[units\] table"):
+        dj.read_specification(spec)
+    spec.write_text(text + "[units]\nshear_modulus = 45e3\nthickness = 1e-3\n")
+    scene, axes, options = dj.read_specification(spec)
+    data = dj.sweep(scene, *axes, **options, progress=False)
+    assert data.shear_modulus.attrs["units"] == "Pa"
+    softer = dj.Scene(dj.Membrane(), dj.Chamber(volume=1600.0, initial_volume=2.42, atmospheric_pressure=50 * 45 / 40))
+    assert abs(float(data.snap_voltage[0, 0]) / float(dj.snap_voltage(softer)) - 1) < 1e-9
+    assert abs(float(data.snap_voltage[1, 0]) / 0.0764953595449 - 1) < 1e-9

@@ -1,0 +1,125 @@
+"""Scenes written down in TOML: tables of parameters by their published names, refused in one sentence where they are wrong."""
+
+import os
+import tomllib
+import typing
+
+import numpy as np
+
+from .elastomers import MooneyRivlin, Ogden
+from .loading import Chamber, ConstantPressure
+from .materials import ArrudaBoyce, ConstantBreakdown, Gent, NeoHookean, VHBBreakdown
+from .membrane import Membrane
+from .scene import PARAMETERS, Scene, Window
+from .units import Units
+
+__all__ = ["number", "read_toml", "refuse", "scene_of", "table", "values"]
+
+_MATERIALS = {
+    "gent": Gent,
+    "neo-hookean": NeoHookean,
+    "arruda-boyce": ArrudaBoyce,
+    "mooney-rivlin": MooneyRivlin,
+    "ogden": Ogden,
+}
+_LISTS = ("moduli", "exponents")
+_PLACES = ("loading", "membrane", "breakdown", "material")
+
+
+def read_toml(path: str | os.PathLike) -> dict[str, typing.Any]:
+    """What a file of TOML holds; raises ValueError where it cannot be read, or holds something else."""
+    name = os.fspath(path)
+    try:
+        with open(path, "rb") as file:
+            return tomllib.load(file)
+    except OSError as error:
+        raise ValueError(f"`SPEC` must be a file that can be read, but {name!r} is not: {error.strerror}.") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"`SPEC` must be a file of TOML, but {name!r} is not: {error}.") from None
+
+
+def refuse(where: str, given: typing.Iterable[str], allowed: typing.Iterable[str]) -> None:
+    """Raises ValueError for a name of the table `where` that is not allowed."""
+    for name in given:
+        if name not in allowed:
+            raise ValueError(f"`{name}` in [{where}] must be one of {', '.join(allowed)}, but is none of them.")
+
+
+def table(name: str, value: typing.Any) -> dict:
+    """The value, if it is a table."""
+    if not isinstance(value, dict):
+        raise ValueError(f"`{name}` must be a table, but is {value!r}.")
+    return value
+
+
+def number(where: str, name: str, value: typing.Any) -> float:
+    """The value, if it is a number."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ValueError(f"`{name}` in [{where}] must be a number, but is {value!r}.")
+    return float(value)
+
+
+def scene_of(given: dict[str, typing.Any], constants: dict[str, typing.Any] | None = None) -> Scene:
+    """The scene of parameters by their published names, `material` and `breakdown` ("vhb" or a field), and windows.
+
+    `constants` (shear_modulus, thickness, radius, permittivity, in SI) are those of the units that the scene carries; its
+    other numbers are dimensionless all the same. Without them the inverse of `describe`. Raises ValueError for names that a scene does not have.
+
+    >>> scene = scene_of({"material": "neo-hookean", "pressure": 1.5, "prestretch": 1.2})
+    >>> float(scene.loading.pressure), float(scene.membrane.prestretch)
+    (1.5, 1.2)
+    """
+    names = [n for n, path in PARAMETERS.items() if path[-2] in _PLACES and n != "volume"]
+    refuse("scene", given, ("material", "breakdown", "stretch_window", "load_window", *names))
+    material = given.get("material", "gent")
+    if material not in _MATERIALS:
+        raise ValueError(f"`material` must be one of {', '.join(_MATERIALS)}, but is {material!r}.")
+    numbers = {
+        n: values("scene", n, v) if n in _LISTS else number("scene", n, v) for n, v in given.items() if n in PARAMETERS
+    }
+    parts: dict[str, dict[str, typing.Any]] = {place: {} for place in _PLACES}
+    for name, value in numbers.items():
+        parts[PARAMETERS[name][-2]][PARAMETERS[name][-1]] = value
+    breakdown = given.get("breakdown", "vhb")
+    field = () if breakdown == "vhb" else (number("scene", "breakdown", breakdown),)
+    constants = {} if constants is None else constants
+    refuse("units", constants, [n for n, path in PARAMETERS.items() if path[0] == "units"])
+    units = Units(**{n: number("units", n, v) for n, v in constants.items()}) if constants else None
+    if not field and units is not None:
+        parts["breakdown"] |= {n: getattr(units, n) for n in ("shear_modulus", "relative_permittivity")}
+    try:
+        law = (ConstantBreakdown if field else VHBBreakdown)(*field, **parts["breakdown"])
+        film = _MATERIALS[material](**parts["material"])
+    except TypeError:
+        own = ", ".join(n for n in numbers if PARAMETERS[n][-2] in ("breakdown", "material"))
+        raise ValueError(f"`material` and `breakdown` must have the parameters {own}, but one does not.") from None
+    membrane = Membrane(film, breakdown=law, **parts["membrane"])
+    loading = parts["loading"]
+    if ("pressure" in loading) == ("volume" in loading):
+        raise ValueError("`pressure` or `chamber_volume` must be given, one of the two, but both or neither are.")
+    if "pressure" in loading and len(loading) > 1:
+        raise ValueError("`pressure` must be given without the parameters of a chamber, but some are given.")
+    window = Window(given.get("stretch_window"), given.get("load_window", (-1.0, 1.0)))
+    if "pressure" in loading:
+        return Scene(membrane, ConstantPressure(loading["pressure"]), window, units)
+    return Scene(membrane, Chamber(**typing.cast(typing.Any, loading)), window, units)
+
+
+def values(where: str, name: str, given: typing.Any) -> np.ndarray:
+    """The values of a parameter: a list, or {from, to, count, spacing = "linear" or "log"}."""
+    if isinstance(given, list):
+        return np.array([number(where, name, v) for v in given])
+    own = table(name, given)
+    refuse(f"{where}.{name}", own, ("from", "to", "count", "spacing"))
+    missing = [key for key in ("from", "to", "count") if key not in own]
+    if missing:
+        raise ValueError(f"`{missing[0]}` must be given for `{name}` in [{where}], but is not.")
+    low, high = (number(where, key, own[key]) for key in ("from", "to"))
+    count, spacing = own["count"], own.get("spacing", "linear")
+    if isinstance(count, bool) or not (isinstance(count, int) and count > 0):
+        raise ValueError(f"`count` must be a positive whole number for `{name}` in [{where}], but is {count!r}.")
+    if spacing not in ("linear", "log"):
+        raise ValueError(f"`spacing` must be linear or log for `{name}` in [{where}], but is {spacing!r}.")
+    if spacing == "log" and not min(low, high) > 0:
+        raise ValueError(f"`from` and `to` must be positive with spacing log for `{name}` in [{where}].")
+    return (np.geomspace if spacing == "log" else np.linspace)(low, high, count)
