@@ -158,6 +158,7 @@ def main() -> int:
     for kind, (values, _) in KINDS.items():
         if (options.only and kind not in options.only) or (options.quick and kind not in QUICK):
             continue
+        jax.clear_caches()  # hundreds of programs would meet the system's limit of memory maps
         for name in QUICK[kind] if options.quick else pairs(kind, values):
             row = audit(kind, name, timed=not options.quick)
             records.append(row)

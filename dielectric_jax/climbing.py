@@ -18,6 +18,7 @@ __all__ = ["NEAR", "Axis", "Climb", "Wishes", "axis_of", "inwards", "scan_design
 
 NEAR = 1e-6  # a constraint this near to its limit holds with equality
 _FAILED = 1e2
+_FAR = 0.2  # of the unknowns: tangents are followed no farther
 _AT_END = 1e-9  # of a range: nearer to it is at it
 _CLOSE = 1e-5  # constraints this near to their limit are met exactly in the end
 
@@ -118,7 +119,7 @@ class Climb:
         """Begins at z from unknowns of every scenario; whether they are met."""
         found = self._measured(z, begin)
         if found is not None:
-            self.known.append((np.array(z), [f.unknowns[0] for f in found], found))
+            self.known.append((np.array(z), found))
         return found is not None
 
     def _measured(self, z, begin):
@@ -137,21 +138,32 @@ class Climb:
         z = np.array(z, float)
         near = min(self.known, key=lambda k: np.abs(k[0] - z).max())
         if np.array_equal(near[0], z):
-            return near[2]
-        found = self._measured(z, near[1])
+            return near[1]
+        found = self._measured(z, self._ahead(near, z))
         if found is None and halvings:
             if self.at((near[0] + z) / 2, 0 if halvings == 1 else halvings - 1) is None:
                 return None
             near = min(self.known, key=lambda k: np.abs(k[0] - z).max())
-            found = self._measured(z, near[1])
+            found = self._measured(z, self._ahead(near, z))
         if found is not None:
-            self.known.append((z, [f.unknowns[0] for f in found], found))
+            self.known.append((z, found))
         return found
+
+    def _ahead(self, near: tuple, z) -> list[np.ndarray]:
+        """The unknowns at z along the tangents of a design that was met, or those there where that leads far."""
+        place, found = near
+        step = self.place(z)[0] - self.place(place)[0]
+        guesses = []
+        for m, scenario in zip(found, self.scenes, strict=True):
+            here, move = m.unknowns[0], m.rates[0] @ (step * scenario.factors)
+            guesses.append(here + move * bool((np.abs(move) < _FAR * np.abs(here)).all()))
+        return guesses
 
     def unknowns(self, z) -> list[np.ndarray]:
         """The unknowns of every scenario at a design that `at` has met."""
         z = np.array(z, float)
-        return next(u for place, u, _ in self.known if np.array_equal(place, z))
+        found = next(found for place, found in self.known if np.array_equal(place, z))
+        return [m.unknowns[0] for m in found]
 
     def rows(self, z):
         """Growth (scenarios,) and its derivatives by z, and of every constraint: name, scenario, value ≥ 0, derivative."""

@@ -29,13 +29,14 @@ class Measures(typing.NamedTuple):
 
     `growth` is 2 log(λb/λs); `start` the slope c′ at the start, positive where it is stable; for each snap `fold`, log (E/E_EB)²
     at it, `landing`, the same where it lands, `sharpness`, −c″ at it, zero where it merges with another; `back` the q of the
-    snap-back.
+    snap-back. `rates` are the derivatives of the `unknowns`.
     """
 
     names: tuple
     values: np.ndarray
     slopes: np.ndarray
     unknowns: np.ndarray
+    rates: np.ndarray
     fair: np.ndarray
 
 
@@ -105,4 +106,4 @@ def measure(kind: Kind, names: tuple, sheet, scene: Scene, theta, guess) -> Meas
     found = solve_on_sheet(_EQUATIONS[kind], _points(kind), sheet, scene, names, guess, theta)
     with np.errstate(invalid="ignore"):
         fair = (found.size < 1e-8) & np.isfinite(found.slopes).all(axis=(1, 2))
-    return Measures(measures_of(kind), found.measures, found.slopes, found.unknowns, fair)
+    return Measures(measures_of(kind), found.measures, found.slopes, found.unknowns, found.rates, fair)

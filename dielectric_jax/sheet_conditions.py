@@ -25,7 +25,7 @@ from .surface import ById, Surface
 
 __all__ = ["SheetConditions", "Solved", "solve_on_sheet"]
 
-_POINTS = 32  # of one call
+_POINTS = (8, 32)  # of one call: few, and many
 _ITERATIONS = 14
 
 
@@ -115,9 +115,10 @@ def _towers_in_family(family: SurfaceFamily, places):
 def _towers(sheet: Surface | SurfaceFamily, places: np.ndarray) -> list[np.ndarray]:
     flat = places.reshape(-1, places.shape[-1])
     parts = []
-    for i in range(0, len(flat), _POINTS):
-        own = flat[i : i + _POINTS]
-        lanes = np.pad(own, ((0, _POINTS - len(own)), (0, 0)), mode="edge")
+    size = _POINTS[len(flat) > _POINTS[0]]
+    for i in range(0, len(flat), size):
+        own = flat[i : i + size]
+        lanes = np.pad(own, ((0, size - len(own)), (0, 0)), mode="edge")
         if isinstance(sheet, SurfaceFamily):
             found = _towers_in_family(sheet, lanes)
         else:
@@ -147,10 +148,11 @@ def _linearised(equations, names, segment, scene, towers, places, begin, end, u)
 
 
 class Solved(typing.NamedTuple):
-    """Unknowns (n, k), measures (n, m), their derivatives by θ (n, m, parameters), and the size of Newton's last move."""
+    """Unknowns (n, k), measures (n, m), the derivatives of both by θ (n, …, parameters), and the size of Newton's last move."""
 
     unknowns: np.ndarray
     measures: np.ndarray
+    rates: np.ndarray
     slopes: np.ndarray
     size: np.ndarray
 
@@ -196,8 +198,9 @@ def solve_on_sheet(
     value, jacobian = _evaluated(equations, points, sheet, scene, names, u, begin, end, lanes)
     by_u, by_theta = jacobian[..., :unknowns], jacobian[..., unknowns:]
     rate, good = _solved(by_u[:, :unknowns] * scale[:, None, :], -by_theta[:, :unknowns])
-    slopes = by_theta[:, unknowns:] + by_u[:, unknowns:] @ (rate * scale[:, :, None])
-    return Solved(u, value[:, unknowns:], slopes, np.where(good, size, np.nan))
+    rates = rate * scale[:, :, None]
+    slopes = by_theta[:, unknowns:] + by_u[:, unknowns:] @ rates
+    return Solved(u, value[:, unknowns:], rates, slopes, np.where(good, size, np.nan))
 
 
 def _solved(matrix, right) -> tuple[np.ndarray, np.ndarray]:
