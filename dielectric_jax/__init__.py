@@ -82,6 +82,7 @@ _ROOMS = {
     "designs": ("Designs", "classify_designs"),
     "regime_maps": ("Boundary", "RegimeEdge", "RegimeMap", "regime_edges", "regime_map"),
     "regime_plots": ("plot_regime_map",),
+    "explorer": ("Explorer", "explore"),
     "objectives": ("Optimum", "maximise"),
     "design": ("Design", "maximise_area_strain"),
     "cache": ("enable_compilation_cache",),
@@ -126,6 +127,7 @@ if typing.TYPE_CHECKING:
         pressure_curves,
         pressure_ramps,
     )
+    from .explorer import Explorer, explore
     from .family import SurfaceFamily
     from .loading import Chamber, ChargeControl, ConstantPressure, ConstantVoltage, PrescribedVolume
     from .material_page import balloon_pressure, plot_material, tension_curves

@@ -12,8 +12,16 @@ ROOT = pathlib.Path(__file__).parent.parent
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 
-def test_there_is_a_notebook():
-    assert [n.name for n in NOTEBOOKS] == ["first_diagram.ipynb"]
+def test_these_are_the_notebooks():
+    assert [n.stem for n in NOTEBOOKS] == [
+        "design",
+        "explorer",
+        "first_diagram",
+        "paper",
+        "stability_and_regimes",
+        "sweep",
+        "your_own_material",
+    ]
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)

@@ -86,6 +86,8 @@ ROOMS = [
     "grid_lines",
     "regime_plots",
     "regime_maps",
+    "glances",
+    "explorer",
     "scenarios",
     "design_points",
     "climbing",

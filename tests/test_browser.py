@@ -1,0 +1,110 @@
+"""The explorer in a browser: a Jupyter server, a headless Chromium, all cells run, a slider moved by the keyboard.
+
+Skipped where no Chromium, no driver for it or no JupyterLab is found.
+"""
+
+import os
+import pathlib
+import secrets
+import shutil
+import socket
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+
+import pytest
+
+sync_api = pytest.importorskip("playwright.sync_api")
+pytest.importorskip("jupyterlab")
+pytest.importorskip("ipywidgets")
+
+ROOT = pathlib.Path(__file__).parent.parent
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
+PATIENCE = 300e3  # milliseconds, for programs that are compiled on a busy machine
+
+PIXELS = """async img => {
+    const bytes = await (await fetch(img.src)).arrayBuffer();
+    const digest = await crypto.subtle.digest("SHA-256", bytes);
+    return Array.from(new Uint8Array(digest)).join(" ");
+}"""
+IDLE = """() => {
+    const prompts = [...document.querySelectorAll(".jp-CodeCell .jp-InputArea-prompt")].map(p => p.textContent);
+    return prompts.length && prompts.every(text => /\\d/.test(text));
+}"""
+
+
+@pytest.fixture
+def server(tmp_path):
+    """The address of a Jupyter server with a copy of the notebook, and its token."""
+    shutil.copy(ROOT / "notebooks" / "explorer.ipynb", tmp_path)
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    token = secrets.token_hex(16)
+    own = {f"JUPYTER_{name}_DIR": str(tmp_path / name) for name in ("CONFIG", "DATA", "RUNTIME")}
+    environment = os.environ | own | {"PYTHONPATH": str(ROOT), "JUPYTER_TOKEN": token}
+    command = [sys.executable, "-m", "jupyterlab", "--no-browser", "--allow-root", "--ip=127.0.0.1", f"--port={port}"]
+    command += ["--ServerApp.port_retries=0", f"--ServerApp.root_dir={tmp_path}"]
+    command += [
+        "--LabApp.extension_manager=readonly",
+        "--LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate",
+    ]
+    with open(tmp_path / "server.log", "w", encoding="utf-8") as log:
+        process = subprocess.Popen(command, env=environment, stdout=log, stderr=subprocess.STDOUT)
+        try:
+            address = f"http://127.0.0.1:{port}"
+            for _ in range(600):
+                assert process.poll() is None, (tmp_path / "server.log").read_text(encoding="utf-8")
+                try:
+                    urllib.request.urlopen(f"{address}/api?token={token}", timeout=5).close()
+                    break
+                except (urllib.error.URLError, OSError):
+                    time.sleep(0.2)
+            yield address, token
+        finally:
+            process.terminate()
+            process.wait(30)
+
+
+def test_a_slider_moved_by_the_keyboard_redraws_the_picture(server, tmp_path):
+    address, token = server
+    complaints = []
+    with sync_api.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": 1100, "height": 1300})
+        page.set_default_timeout(PATIENCE)
+        page.on("console", lambda m: complaints.append(f"{m.text} ({m.location})") if m.type == "error" else None)
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.goto(f"{address}/doc/tree/explorer.ipynb?token={token}")
+        page.wait_for_selector(".jp-CodeCell")
+        page.wait_for_selector('.jp-Notebook-ExecutionIndicator[data-status="idle"]', state="attached")
+        page.get_by_role("menuitem", name="Run", exact=True).click()
+        page.get_by_text("Run All Cells", exact=True).click()
+        page.wait_for_selector("img.widget-image", state="attached")
+        page.wait_for_function(IDLE)
+        assert page.locator('[data-mime-type="application/vnd.jupyter.stderr"]', has_text="Error").count() == 0
+
+        picture = page.locator("img.widget-image")
+        picture.scroll_into_view_if_needed()
+        handle = page.locator(".widget-slider:visible .noUi-handle").first  # the chamber's volume
+        before, source, told = (
+            picture.evaluate(PIXELS),
+            picture.get_attribute("src"),
+            page.locator(".widget-html").inner_text(),
+        )
+        assert "Snaps at Φ = 0.0765" in told  # V_C = 1600, V_0 = 2.42, section 4 of the model
+        handle.focus()
+        for _ in range(5):
+            page.keyboard.press("ArrowLeft")
+        page.wait_for_function(
+            "old => !document.querySelector('.widget-html').innerText.includes(old)", arg="Φ = 0.0765 "
+        )
+        page.wait_for_function("old => document.querySelector('img.widget-image').src !== old", arg=source)
+        assert picture.evaluate(PIXELS) != before
+        assert page.locator(".widget-html").inner_text() != told
+        page.screenshot(path=os.environ.get("DIELECTRIC_JAX_SCREENSHOT", str(tmp_path / "page.png")))
+        browser.close()
+    assert not complaints

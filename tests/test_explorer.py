@@ -1,0 +1,217 @@
+"""The explorer: sliders move the diagram, and what it shows is what the equations say.
+
+The sliders are moved as a user's browser moves them, by their values; no browser is needed.
+"""
+
+import io
+import sys
+
+import matplotlib.image
+import numpy as np
+import pytest
+
+pytest.importorskip("ipywidgets")
+
+import dielectric_jax as dj
+from dielectric_jax.glances import glance
+
+PEAK = 1.908684829414, 2.9634068291
+VALLEY = 1.361703319141, 59.066473804
+SNAPS = {1600.0: 0.0764953595449, 800.0: 0.0971990067469}  # section 4 of the model, V_0 = 2.42
+BREAKDOWNS = {1600.0: 0.100970094106, 800.0: 0.115172761046}
+
+
+@pytest.fixture(scope="module")
+def explorer():
+    return dj.explore(prestretches=(1.0, 2.0))
+
+
+@pytest.fixture
+def paper(explorer):
+    """The explorer with its sliders back at the paper's chamber."""
+    values = {"loading": "closed chamber", "prestretch": 1.0, "chamber_volume": 1600.0, "initial_volume": 2.42}
+    for name, value in (values | {"pressure": 1.82, "voltage": 0.05}).items():
+        explorer.controls[name].value = value
+    return explorer
+
+
+def drawn(explorer):
+    """The points of all lines on the axes, (n, 2)."""
+    return np.concatenate([np.array(line.get_xydata()) for line in explorer.axes.lines])
+
+
+def has(explorer, x, y):
+    """Whether a marker or a line of the picture has a point there."""
+    return bool(np.any(np.all(np.isclose(drawn(explorer), (x, y), rtol=1e-9, atol=1e-12), axis=1)))
+
+
+@pytest.mark.parametrize("volume", list(SNAPS))
+def test_the_snap_and_breakdown_are_where_the_model_has_them(paper, volume):
+    paper.controls["chamber_volume"].value = volume
+    (snap,) = [e.state for e in paper.seen.events if e.event == "snap"]
+    assert abs(snap.voltage - SNAPS[volume]) < 1e-11
+    assert has(paper, snap.volume, SNAPS[volume])
+    (end,) = [e.state for e in paper.seen.events if e.event == "breakdown"]
+    assert abs(end.voltage - BREAKDOWNS[volume]) < 1e-10
+    assert has(paper, end.volume, BREAKDOWNS[volume])
+    assert f"{SNAPS[volume]:.4g}" in paper.message.value
+    assert {1600.0: "stays", 800.0: "returns"}[volume] in paper.message.value
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("chamber_volume", 700.0), ("initial_volume", 2.3), ("prestretch", 2.0), ("loading", "constant pressure")],
+)
+def test_a_slider_redraws(paper, name, value):
+    before, points = paper.picture.value, drawn(paper)
+    paper.controls[name].value = value
+    assert paper.picture.value != before
+    after = drawn(paper)
+    assert after.shape != points.shape or not np.allclose(after, points)
+    pixels = matplotlib.image.imread(io.BytesIO(paper.picture.value))
+    assert np.ptp(pixels) > 0.9  # black on white
+
+
+def test_the_lines_obey_the_equation_of_the_gas(paper):
+    """(24): every state has (p + 50)(V + V_C) = (p_0 + 50)(V_0 + V_C), here at V_0 = 2.42, p_0 = 1.886612680245."""
+    branch = paper.seen.branches[0]
+    held = (branch.pressure + 50) * (branch.volume + 1600) / ((1.886612680245 + 50) * (2.42 + 1600))
+    assert np.max(np.abs(held - 1)) < 1e-11
+
+
+def test_no_fold_below_zero_voltage_is_drawn(paper):
+    """V_C = 1600 has a second fold, at q = −0.0011, which no voltage reaches."""
+    assert len([p for p in paper.seen.special_points if p.kind == "fold"]) == 1
+
+
+@pytest.mark.parametrize(
+    "loading",
+    [
+        dj.Chamber(volume=800.0, initial_volume=2.42),
+        dj.Chamber(volume=25000.0, initial_volume=2.42),
+        dj.ConstantPressure(1.82),
+        dj.ConstantVoltage(0.1),
+    ],
+    ids=["800", "25000", "pressure", "voltage"],
+)
+def test_a_glance_agrees_with_continuation(membrane, loading):
+    """Stability along the lines, special points, and the events up to a landing beyond the rows."""
+    scene = dj.Scene(membrane, loading)
+    if isinstance(loading, dj.ConstantVoltage):
+        diagram, place = dj.pressure_volume(membrane, float(loading.voltage)), "pressure"
+    else:
+        diagram, place = dj.voltage_volume(scene), "voltage"
+    seen = glance(scene, dj.Surface.build(membrane))
+    for point in seen.special_points:
+        near = [
+            p for p in diagram.special_points if p.kind == point.kind and abs(p.volume - point.volume) < 1e-7 * p.volume
+        ]
+        assert len(near) == 1
+        assert abs(getattr(near[0], place) - getattr(point, place)) < 1e-8
+    folds = np.array([p.volume for p in diagram.special_points if p.kind == "fold"])
+    assert len(folds) == 2 and "fold" in [p.kind for p in seen.special_points]
+    for branch in seen.branches:
+        (other,) = diagram.branches
+        clear = np.min(np.abs(branch.volume[:, None] / folds - 1), axis=1) > 0.02
+        clear &= (branch.volume > other.volume.min()) & (branch.volume < other.volume.max())
+        order = np.argsort(other.volume)
+        nearest = np.searchsorted(other.volume[order], branch.volume).clip(1, len(order) - 1)
+        index = np.maximum(other.index[order][nearest], other.index[order][nearest - 1])
+        assert clear.sum() > 50
+        assert np.array_equal(branch.index[clear], index[clear])
+    if place == "voltage":
+        ups = zip(seen.events, diagram.events, strict=False)
+        for mine, known in until_lost(ups):
+            assert mine.event == known.event
+            assert abs(mine.state.voltage - known.state.voltage) < 1e-9
+
+
+def until_lost(pairs):
+    """Pairs of events up, until one tells no landing because it lies beyond the rows."""
+    for mine, known in pairs:
+        if mine.event == "no_landing" or mine.direction == "down":
+            return
+        yield mine, known
+
+
+def test_the_extremes_of_the_pressure(paper):
+    paper.controls["loading"].value = "constant voltage"
+    paper.controls["voltage"].value = 0.0
+    assert has(paper, PEAK[1], PEAK[0]) and has(paper, VALLEY[1], VALLEY[0])
+    assert paper.axes.get_ylabel().startswith("Pressure")
+    shown = {name: paper.controls[name].layout.display for name in ("voltage", "pressure", "chamber_volume")}
+    assert shown == {"voltage": None, "pressure": "none", "chamber_volume": "none"}
+
+
+def test_a_bad_value_is_said_and_the_next_is_drawn(paper):
+    paper.controls["chamber_volume"].value = float("nan")
+    assert "must be positive and finite, but is nan" in paper.message.value
+    assert paper.seen is None and not len(paper.axes.lines)
+    paper.controls["chamber_volume"].value = 800.0
+    assert "returns" in paper.message.value and len(paper.axes.lines)
+
+
+def test_a_start_that_is_not_stable_is_said(paper):
+    """At V_C = 25000 the air is nearly a constant pressure, under which V = 6, past the peak at V = 2.96, is unstable."""
+    paper.controls["chamber_volume"].value = 25000.0
+    paper.controls["initial_volume"].value = 6.0
+    assert "not stable" in paper.message.value
+
+
+def test_what_the_surface_does_not_tell_is_told_by_the_whole_diagram(paper):
+    """p = 1.82 breaks in the snap (section 5 of the model), on a state far above the surface's domain."""
+    paper.controls["loading"].value = "constant pressure"
+    assert "whole diagram" in paper.message.value
+    paper.controls["whole"].click()
+    assert "breaks in snap" in paper.message.value
+    assert isinstance(paper.seen, dj.Diagram)
+    (snap,) = [e.state for e in paper.seen.events if e.event == "snap"]
+    assert abs(snap.voltage - 0.114568360882) < 1e-11
+
+
+def test_units_are_those_of_the_scene():
+    membrane, units = dj.vhb_4910()
+    chamber = dj.Chamber(
+        volume=units.to_si(1600.0, "volume"), initial_volume=units.to_si(2.42, "volume"), atmospheric_pressure=100e3
+    )
+    seen = dj.explore(dj.Scene.from_si(membrane, chamber, units), prestretches=[1.0])
+    assert "kV" in seen.axes.get_ylabel() and "ml" in seen.axes.get_xlabel()
+    assert f"Φ = {0.0764953595449 * 32.88422182218:.4g} kV" in seen.message.value  # H = 1 mm, times 32.88 MV/m
+
+
+def test_it_is_shown_by_its_widget(paper):
+    assert "application/vnd.jupyter.widget-view+json" in paper._repr_mimebundle_()
+    assert repr(paper) == "Explorer(closed chamber, prestretches 1, 2)"
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"scene": dj.Membrane()}, "`scene` must be a Scene, but is a Membrane"),
+        (
+            {"scene": dj.Scene(dj.Membrane(), dj.PrescribedVolume(3.0))},
+            "`loading` must be a Chamber, .* PrescribedVolume",
+        ),
+        (
+            {"scene": dj.Scene(dj.Membrane(), dj.Chamber(volume=9.0, initial_pressure=1.0))},
+            "`initial_volume` must be given",
+        ),
+        (
+            {"scene": dj.Scene(dj.Membrane(), dj.ConstantPressure(1.0), dj.Window((1.0, 3.0)))},
+            "`window` must be left out",
+        ),
+        ({"prestretches": 1.0}, "`prestretches` must be numbers, but is 1.0"),
+        ({"prestretches": [0.5]}, "`prestretch` must"),
+        ({"dpi": 0.0}, "`dpi` must be positive and finite, but is 0.0"),
+        ({"size": (4.0, -1.0)}, "`size` must be positive and finite, but is -1.0"),
+    ],
+)
+def test_refusals(given, words):
+    with pytest.raises(ValueError, match=words):
+        dj.explore(**given)
+
+
+def test_without_the_extra_one_sentence_names_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ipywidgets", None)
+    with pytest.raises(ImportError, match=r'`ipywidgets` must be installed .*"dielectric-jax\[interactive\]"'):
+        dj.explore()
