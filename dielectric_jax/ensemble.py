@@ -153,7 +153,8 @@ _CROSSINGS = {kind: _crossing_program(kind) for kind in ("isothermal", "polytrop
 
 
 def _ramps_chunk(rows: Rows, lanes, kind: str):
-    return _ramps_of_crossings(rows, *_CROSSINGS[kind](rows, lanes), kind)
+    start, conditions, crossed = _CROSSINGS[kind](rows, lanes)
+    return _ramps_of_crossings(rows, start, conditions, crossed, kind)
 
 
 def _ramps_of_crossings(rows: Rows, start, conditions, crossed, kind: str):

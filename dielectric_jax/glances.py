@@ -149,7 +149,8 @@ def _states(rows: Rows, found, make=State, **more) -> list:
     q = voltage**2
     lines = zip(q, pressure, volume, apex, np.sqrt(q / limit), error, strict=True)
     return [
-        make(*map(float, (q, p, v, a, np.nan, np.nan, ratio)), 0, float(e), **more) for q, p, v, a, ratio, e in lines
+        make(float(q), float(p), float(v), float(a), np.nan, np.nan, float(ratio), 0, float(e), **more)
+        for q, p, v, a, ratio, e in lines
     ]
 
 
