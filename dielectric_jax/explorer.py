@@ -220,13 +220,13 @@ def _controls(widgets: Any, scene: Scene, prestretches: list[float]) -> dict[str
     controls = {"loading": widgets.ToggleButtons(options=list(_LOADINGS), value=kind)}
     low, high, step, value = _DECADES
     value = known.get("chamber_volume", value)
-    ends = {"min": min(low, math.log10(value)), "max": max(high, math.log10(value)), "step": step}
+    ends = _ends(low, high, step, math.log10(value))
     controls["chamber_volume"] = widgets.FloatLogSlider(
         value=value, description=_WORDS["chamber_volume"], readout_format=".5g", **ends, **wide
     )
     for name, (low, high, step, value) in _RANGES.items():
         value = known.get(name, value)
-        ends = {"min": min(low, value), "max": max(high, value), "step": step}
+        ends = _ends(low, high, step, value)
         controls[name] = widgets.FloatSlider(
             value=value, description=_WORDS[name], readout_format=".3f", **ends, **wide
         )
@@ -237,6 +237,12 @@ def _controls(widgets: Any, scene: Scene, prestretches: list[float]) -> dict[str
         **wide,
     )
     return controls
+
+
+def _ends(low: float, high: float, step: float, value: float) -> dict[str, float]:
+    """The ends of a slider that holds `value` on one of its steps, as a browser rounds to them."""
+    first = value - step * max(0, math.floor((value - low) / step))
+    return {"min": max(first, min(low, value)), "max": max(high, value), "step": step}
 
 
 class _Frame:
