@@ -132,7 +132,8 @@ class Explorer:
         self.seen: Glance | Diagram | None = None
         widgets = need("ipywidgets", "interactive")
         self.controls = _controls(widgets, scene, prestretches)
-        self.picture = widgets.Image(format="png")
+        wide = {"width": f"{round(size[0] * dpi)}px", "max_width": "100%", "align_self": "flex-start"}
+        self.picture = widgets.Image(format="png", layout=wide)
         self.message = widgets.HTML()
         button = widgets.Button(
             description="whole diagram", tooltip="All branches, followed beyond the surface by shooting"

@@ -147,11 +147,10 @@ def _states(rows: Rows, found, make=State, **more) -> list:
         return []
     limit = np.asarray(_breakdown_load(rows.surface, np.pad(apex, (0, _MOST - count), mode="edge")))[:count]
     q = voltage**2
-    lines = zip(q, pressure, volume, apex, np.sqrt(q / limit), error, strict=True)
-    return [
-        make(float(q), float(p), float(v), float(a), np.nan, np.nan, float(ratio), 0, float(e), **more)
-        for q, p, v, a, ratio, e in lines
-    ]
+    columns = {"voltage_squared": q, "pressure": pressure, "volume": volume, "apex_stretch": apex}
+    columns |= {"breakdown_ratio": np.sqrt(q / limit), "error_estimate": error}
+    rest = {"height": np.nan, "charge": np.nan, "index": 0} | more
+    return [make(**{name: float(values[k]) for name, values in columns.items()}, **rest) for k in range(count)]
 
 
 def _points(rows: Rows, kind: str, found, branches: list[Branch]) -> list[SpecialPoint]:
