@@ -146,6 +146,12 @@ def run_blocks(pool: _Processes | _Given, function: Callable, tasks: Sequence[tu
             future.cancel()
 
 
+def _in_notebook() -> bool:
+    """Whether this process is the kernel of a notebook; importing Jupyter's packages does not make it one."""
+    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+    return hasattr(shell, "kernel")
+
+
 class Progress:
     """A bar on a terminal or in a notebook, with rate, failures and time left; nothing elsewhere.
 
@@ -154,7 +160,7 @@ class Progress:
 
     def __init__(self, total: int, done: int, show: bool | None = None):
         if show is None:
-            show = sys.stderr.isatty() or "ipykernel" in sys.modules
+            show = sys.stderr.isatty() or _in_notebook()
         self._failed = 0
         self._bar = None
         if show:

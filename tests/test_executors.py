@@ -161,6 +161,19 @@ def test_the_bar_counts_and_is_quiet_where_nobody_watches(capfd):
     assert "10.0/10.0" in said and "without_answer=3" in said and "scene/s" in said
 
 
+def test_the_bar_is_shown_in_a_notebook_and_not_for_its_packages(capfd):
+    pytest.importorskip("ipykernel")
+    with Progress(10, 0) as bar:
+        bar.add(4, 0)
+    assert capfd.readouterr().err == ""
+    code = "from dielectric_jax.executors import Progress\nwith Progress(10, 0) as bar:\n    bar.add(4, 0)\n    assert bar._bar is not None"
+    import nbclient
+    import nbformat
+
+    cells = [nbformat.v4.new_code_cell(code)]
+    nbclient.NotebookClient(nbformat.v4.new_notebook(cells=cells), timeout=120, kernel_name="python3").execute()
+
+
 def test_a_missing_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ImportError, match=r'pip install "dielectric-jax\[distributed\]"'):
