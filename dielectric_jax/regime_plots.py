@@ -26,19 +26,19 @@ _COLOURS = {
     Regime.returns: "#BFE3C5",
 }
 _WORDS = {
-    "chamber_volume": "chamber volume $V_C$",
-    "initial_volume": "filling $V_0$",
-    "initial_pressure": "filling pressure $p_0$",
-    "atmospheric_pressure": "pressure outside $p_{atm}$",
-    "polytropic_exponent": "polytropic exponent $n$",
-    "pressure": "pressure $p$",
-    "prestretch": "prestretch $λ_0$",
-    "stretch_limit": "limit $J$",
-    "breakdown_field_scale": "breakdown field / law",
-    "shear_modulus": "shear modulus μ [Pa]",
-    "thickness": "thickness $H$ [m]",
-    "radius": "radius $A$ [m]",
-    "permittivity": "permittivity ε [F/m]",
+    "chamber_volume": "Chamber volume V_C / A³",
+    "initial_volume": "Filling V₀ / A³",
+    "initial_pressure": "Filling pressure p₀ A / (μH)",
+    "atmospheric_pressure": "Pressure outside p_atm A / (μH)",
+    "polytropic_exponent": "Polytropic exponent n",
+    "pressure": "Pressure p A / (μH)",
+    "prestretch": "Prestretch λ₀",
+    "stretch_limit": "Limit J",
+    "breakdown_field_scale": "Breakdown field / law",
+    "shear_modulus": "Shear modulus μ / Pa",
+    "thickness": "Thickness H / m",
+    "radius": "Radius A / m",
+    "permittivity": "Permittivity ε / (F/m)",
 }
 _LEAST_SHARE = 0.01  # of the map: smaller areas are named in the legend
 
