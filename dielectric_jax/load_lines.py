@@ -85,7 +85,7 @@ def settle(kind: str, u, theta: Conditions, free: int | None = None, value: floa
     scale = np.concatenate([SCALE, [abs(value) or 1.0]])
     x, begin = np.array([*u, value], float), np.array([*u, value], float)
     leaves, tree = jax.tree.flatten(theta)
-    which = [0, 1, 3] if kind in (ONSET, PRESSURE_CUSP) else [0, 1, 2, 3] if kind == CUSP else [0, 1, 2]
+    which = [0, 1, 3] if kind == ONSET else [0, 1, 2, 3] if kind in (CUSP, PRESSURE_CUSP) else [0, 1, 2]
     move, volume = np.full(4, np.inf), np.nan
 
     def step(steps):

@@ -37,7 +37,7 @@ PRESSURE_FOLD, ONSET, CUSP, PRESSURE_CUSP = "pressure_fold", "onset", "cusp", "p
 #: the order of the derivatives of r and V that the equations of a kind hold
 _ORDER = {FOLD: 1, PRESSURE_FOLD: 1, ONSET: 1, CUSP: 2, PRESSURE_CUSP: 2}
 #: kinds with a parameter among their unknowns: in place of q, which is then given, or beside it
-_INSTEAD, _BESIDE = (ONSET, PRESSURE_CUSP), (CUSP,)
+_INSTEAD, _BESIDE = (ONSET,), (CUSP, PRESSURE_CUSP)
 
 
 class Conditions(eqx.Module):
@@ -66,10 +66,8 @@ def _equations(kind: str, engine: AbstractEngine, rims, u, theta: Conditions):
     elif kind == PRESSURE:
         rows = [residual, u[1] - theta.target, u[2]]
     elif kind in (PRESSURE_FOLD, PRESSURE_CUSP):
-        rows = [residual, determinant(rim, rims[1], u)[1]]
-        if kind == PRESSURE_FOLD:
-            rows.append(u[2] - theta.target)
-        else:
+        rows = [residual, determinant(rim, rims[1], u)[1], u[2] - theta.target]
+        if kind == PRESSURE_CUSP:
             push = rims[1] @ _AXES[0], rims[2] @ _AXES[0], _AXES[0]
             rows.append(jax.jvp(lambda *v: determinant(*v)[1], (rim, rims[1], u), push)[1])
     else:

@@ -77,3 +77,8 @@ def test_cusps(scene, membrane, slope_by_differences):
         return dj.cusp(scene.replace(atmospheric_pressure=outside), 1, within=(300.0, 3000.0)).parameter
 
     assert abs(float(jax.grad(of)(50.0)) / slope_by_differences(of, 50.0, 0.1) - 1) < 1e-7
+
+    def by_voltage(voltage):
+        return dj.pressure_cusp(membrane, voltage, within=(2.0, 2.5)).parameter
+
+    assert abs(float(jax.grad(by_voltage)(0.05)) / slope_by_differences(by_voltage, 0.05, 1e-3) - 1) < 1e-7
