@@ -63,7 +63,8 @@ def scene_of(given: dict[str, typing.Any], constants: dict[str, typing.Any] | No
     """The scene of parameters by their published names, `material` and `breakdown` ("vhb" or a field), and windows.
 
     `constants` (shear_modulus, thickness, radius, permittivity, in SI) are those of the units that the scene carries; its
-    other numbers are dimensionless all the same. Without them the inverse of `describe`. Raises ValueError for names that a scene does not have.
+    other numbers are dimensionless all the same. Without them the inverse of `describe`. Raises ValueError for names that a
+    scene does not have.
 
     >>> scene = scene_of({"material": "neo-hookean", "pressure": 1.5, "prestretch": 1.2})
     >>> float(scene.loading.pressure), float(scene.membrane.prestretch)

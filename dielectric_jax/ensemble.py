@@ -214,7 +214,7 @@ def _glance_chunk(rows: Rows, lanes, kind: str):
 
 
 def curves_and_ramps(surface: Surface, given: dict) -> tuple[Curves, Ramps]:
-    """Curves and ramps of a few loadings in a tenth of the time that a hundred of them take; as `chamber_ramps`.
+    """Curves and ramps of a few loadings, at once and without the padding that large batches have; as `chamber_ramps`.
 
     `given` names the columns as the arguments of `chamber_ramps`, or the pressure.
     """

@@ -33,6 +33,7 @@ _NEAR = 0.05  # of λa: how far Newton's method may go from the spline's guess
 class Glance:
     """What the plots need of a `Diagram`: `kind`, branches, special points, events of the ramp; and its regime.
 
+    Along branches `index` is 0 where the control rises with the stretch of the apex and 1 elsewhere; of points it is not told.
     `outcome` is None for a pressure–volume curve. `several` says whether the curve has gaps where a stretch of the apex
     belongs to several states.
     """
@@ -149,7 +150,7 @@ def _states(rows: Rows, found, make=State, **more) -> list:
     q = voltage**2
     columns = {"voltage_squared": q, "pressure": pressure, "volume": volume, "apex_stretch": apex}
     columns |= {"breakdown_ratio": np.sqrt(q / limit), "error_estimate": error}
-    rest = {"height": np.nan, "charge": np.nan, "index": 0} | more
+    rest = {"height": np.nan, "charge": np.nan, "index": None} | more
     return [make(**{name: float(values[k]) for name, values in columns.items()}, **rest) for k in range(count)]
 
 
@@ -157,8 +158,7 @@ def _points(rows: Rows, kind: str, found, branches: list[Branch]) -> list[Specia
     points = []
     for point in _states(rows, found, SpecialPoint, kind=kind):
         branch = [k for k, b in enumerate(branches) if b.apex_stretch[0] <= point.apex_stretch <= b.apex_stretch[-1]]
-        index = None if kind == "fold" else 0
-        points.append(dataclasses.replace(point, branch=branch[0] if branch else 0, index=index))
+        points.append(dataclasses.replace(point, branch=branch[0] if branch else 0))
     return points
 
 
@@ -241,5 +241,4 @@ def _extremes(surface: Surface, branch: Branch, number: int) -> typing.Iterator[
     for kind, row in (("fold", 0), ("breakdown", 1)):
         for k in np.flatnonzero(found[row]):
             a, p, v, e, r = (float(values[row, k]) for values in (met, pressure, volume, error, ratio))
-            index = None if kind == "fold" else 0
-            yield SpecialPoint(float(q), p, v, a, np.nan, np.nan, r, index, e, kind=kind, branch=number)
+            yield SpecialPoint(float(q), p, v, a, np.nan, np.nan, r, None, e, kind=kind, branch=number)
