@@ -141,9 +141,9 @@ def _conditions(rows: Rows, lanes, kind: str):
 def _crossing_program(kind: str):
     def crossings_of(rows, lanes):
         start, conditions = _conditions(rows, lanes, kind)
-        q, v, found, again = crossings(rows, conditions)
+        q, v, found, again, above = crossings(rows, conditions)
         q, v = (jnp.where(found & ~again, w, jnp.nan) for w in (q, v))
-        return jax.tree.leaves(start), jax.tree.leaves(conditions), (q, conditions.pressure(v), v, found, again)
+        return jax.tree.leaves(start), jax.tree.leaves(conditions), (q, conditions.pressure(v), v, found, again, above)
 
     crossings_of.__name__ = f"crossings_{kind}"
     return kept_jit(crossings_of)
@@ -179,7 +179,7 @@ def _ramps_of_crossings(rows: Rows, start, conditions, crossed, kind: str):
 
 
 def _snaps_chunk(rows: Rows, lanes, kind: str):
-    start, conditions, (q, _, *crossed) = _CROSSINGS[kind](rows, lanes)
+    start, conditions, (q, _, *crossed, _) = _CROSSINGS[kind](rows, lanes)
     return (snap_program(rows, Events(*start), Conditions(*conditions, polytropic=kind == "polytropic"), q, *crossed),)
 
 
@@ -203,13 +203,13 @@ def _filling_chunk(rows: Rows, lanes, kind: str):
 
 
 def _curves_chunk(rows: Rows, lanes, kind: str):
-    q, p, v, _, again = _CROSSINGS[kind](rows, lanes)[2]
+    q, p, v, _, again, _ = _CROSSINGS[kind](rows, lanes)[2]
     return q, p, v, again
 
 
 def _glance_chunk(rows: Rows, lanes, kind: str):
     start, conditions, crossed = _CROSSINGS[kind](rows, lanes)
-    q, p, v, _, again = (np.asarray(values).T for values in crossed)
+    q, p, v, _, again, _ = (np.asarray(values).T for values in crossed)
     return [q, p, v, again, *_ramps_of_crossings(rows, start, conditions, crossed, kind)]
 
 

@@ -98,7 +98,8 @@ class ContourOnRows(eqx.Module):
     def meet(self, row, kind, target):
         """The event that begins at a row: FOLD of q, LEVEL q = target, or BREAKDOWN q = q_b(λa).
 
-        Gives its place in rows, q and V there, and the error of both; the error is infinite where Newton ends elsewhere.
+        Gives its place in rows, q and V there, and the error of both, for folds of λa − λ0 too; the error is infinite where
+        Newton ends elsewhere.
         """
         (q_all, v_all), (q_less, v_less), scale, place_of = self._polynomials(row)
         fold = kind == FOLD
@@ -128,6 +129,10 @@ class ContourOnRows(eqx.Module):
         q = jnp.where(kind == LEVEL, target, q * scale)
         q_error = jnp.where(kind == LEVEL, 0.0, q_error * scale)
         relative = jnp.maximum(q_error / jnp.maximum(jnp.abs(q), 1e-3), v_error / jnp.maximum(jnp.abs(v), 1e-3))
+        # a stiff chamber holds V at its fold, but not λa, which the area strain is made of
+        apex, apex_slope = jax.jvp(lambda x: self.rows.apex_at(place_of(x)), (x,), (jnp.ones_like(x),))
+        stretched = apex - self.rows.surface.membrane.prestretch
+        relative = jnp.maximum(relative, jnp.where(fold, jnp.abs(apex_slope) * shift / stretched, 0.0))
         near = jnp.abs(x - begin) <= 1.5 / (_STENCIL / 2)
         wide = self.last - self.first >= _STENCIL - 1
         return place_of(x), q, v, jnp.where(near & wide, relative, jnp.inf)

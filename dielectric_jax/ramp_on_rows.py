@@ -33,7 +33,7 @@ class Outcome(enum.IntEnum):
     unresolved = 4  # ask `voltage_volume` for this loading
 
 
-def _ramp(rows: Rows, condition: Conditions, start: Events, q, v, found, again):
+def _ramp(rows: Rows, condition: Conditions, start: Events, q, v, found, again, above):
     """The ramp and special points of one loading from its q and V on the rows."""
     at = jnp.arange(ROWS)
     plain = found & ~again
@@ -78,16 +78,20 @@ def _ramp(rows: Rows, condition: Conditions, start: Events, q, v, found, again):
     survives = climbs & ~lost & ~broken & failure.seen()
     failure = failure.take((), survives)
     doubt |= jnp.where(survives, failure.place, ROWS) > marks.unlisted
-    # another branch further on matters where it may hold a state at the load of a snap without landing
+    # another branch further on matters where it may hold an unbroken state at the load of a snap without landing, on a
+    # row or between two: a row without crossing has it above or below
     level = jnp.where(snaps[1].seen(), snaps[1].load, snaps[0].load)
-    other = (at > last) & (found | again)
-    above, below = (jnp.all(~other | (plain & way)) for way in (q > 1.02 * level, 1.02 * q < level))
+    over = jnp.where(found, q > 1.02 * level, above) & ~again
+    under = jnp.where(found, 1.02 * q < level, ~above) & ~again
+    bearing = (rows.breakdown_load > level) & (at > last)
+    beside = bearing[1:] | (bearing[:-1] & (at[1:] > last))
+    apart = (over[1:] & over[:-1]) | (under[1:] & under[:-1]) | ~beside | (at[:-1] <= last)
     # so may the contour itself, where it leaves the surface unbroken, rises fast enough to be back at that load soon,
     # and would be so below breakdown
     rise = q[last] - q[jnp.maximum(last - 1, 0)]
     bearable = jnp.max(jnp.where(at >= last, rows.breakdown_load, 0.0))
     onward = (jnp.maximum(q[last], level) < bearable) & (_SOON * rise > level - q[last])
-    lost &= (above | below) & ~onward
+    lost &= jnp.all(apart) & ~onward
 
     # the way down, from the last landing
     descends = survives & snaps[0].seen()
@@ -144,9 +148,9 @@ def _ramp(rows: Rows, condition: Conditions, start: Events, q, v, found, again):
 
 
 @kept_jit
-def ramp_program(rows: Rows, start: Events, conditions: Conditions, q, v, found, again):
+def ramp_program(rows: Rows, start: Events, conditions: Conditions, q, v, found, again, above):
     """Many loadings: their events (loadings, 5, 11), special points (loadings, 5, count), snaps, outcomes, reach."""
-    return jax.vmap(_ramp, in_axes=(None, 0, 0, 1, 1, 1, 1))(rows, conditions, start, q, v, found, again)
+    return jax.vmap(_ramp, in_axes=(None, 0, 0, 1, 1, 1, 1, 1))(rows, conditions, start, q, v, found, again, above)
 
 
 def _snap(rows: Rows, condition: Conditions, start: Events, q, v, found, again):

@@ -184,7 +184,8 @@ def _chosen(values, panel):
 def crossings(rows: Rows, conditions: Conditions):
     """q and V at the first crossing of every row, whether there is one, and whether there are more: (rows, loadings).
 
-    Rows that the surface does not cover have no crossing.
+    Rows that the surface does not cover have no crossing. The last result tells of a row without crossing whether the
+    contour lies above it, or nowhere, for p falls with the load; else below.
     """
     weight, room, outside = conditions.weight, conditions.chamber_volume, conditions.atmospheric_pressure
 
@@ -227,8 +228,8 @@ def crossings(rows: Rows, conditions: Conditions):
             x, volume = x + move, v + v_rate * move
 
         share = first + width * (x + 1) / 2
-        return share, volume, ~still & (jnp.abs(move) < 1e-7), again
+        return share, volume, ~still & (jnp.abs(move) < 1e-7), again, positive
 
-    share, volume, found, again = jax.vmap(one)(rows.polynomials, rows.bracket_pressure, rows.bracket_volume)
+    share, volume, found, again, above = jax.vmap(one)(rows.polynomials, rows.bracket_pressure, rows.bracket_volume)
     load = rows.bottom[:, None] + (rows.top - rows.bottom)[:, None] * share
-    return load * rows.largest_load[:, None], volume, found, again
+    return load * rows.largest_load[:, None], volume, found, again, above
