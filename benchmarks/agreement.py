@@ -24,6 +24,7 @@ from scipy.spatial import cKDTree
 import dielectric_jax as dj
 
 jax.config.update("jax_enable_x64", True)
+dj.enable_compilation_cache()
 
 SCALE = np.array([1.0, 0.2, 0.02])  # distances are measured in these units of (λa, p, q)
 NODES = (280, 96)  # of the chart, along the stretch and the load

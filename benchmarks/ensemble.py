@@ -21,6 +21,7 @@ import dielectric_jax as dj
 from dielectric_jax import Outcome
 
 jax.config.update("jax_enable_x64", True)
+dj.enable_compilation_cache()
 
 ALLOWED = 1e-8
 REASONS = {

@@ -21,6 +21,7 @@ from dielectric_jax.equilibria import polish
 from dielectric_jax.loading import Contour
 
 jax.config.update("jax_enable_x64", True)
+dj.enable_compilation_cache()
 
 TOLERANCE, ALLOWED_RATIO, TOP = 1e-9, 10.0, 0.9
 KINDS = ("voltage", "pressure", "chamber")

@@ -31,6 +31,7 @@ from records import machine, write
 import dielectric_jax as dj
 
 jax.config.update("jax_enable_x64", True)
+dj.enable_compilation_cache()
 
 ALLOWED = 1e-9
 # mesh intervals, tolerance of Newton, longest step; the last draws its branch about as finely as ours

@@ -22,6 +22,7 @@ import dielectric_jax as dj
 from dielectric_jax.stability import judge, survey
 
 jax.config.update("jax_enable_x64", True)
+dj.enable_compilation_cache()
 
 EACH = 20  # states of a membrane
 CROWDS = ("even", "towards the cone", "flat end", "lock-up")

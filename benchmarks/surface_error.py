@@ -21,6 +21,7 @@ import dielectric_jax as dj
 from dielectric_jax.materials import largest_load
 
 jax.config.update("jax_enable_x64", True)
+dj.enable_compilation_cache()
 
 ALLOWED = 10.0  # times the bound
 LIMITS = (50.0, 270.0, 1000.0)

@@ -22,6 +22,7 @@ import dielectric_jax as dj
 from dielectric_jax import Outcome
 
 jax.config.update("jax_enable_x64", True)
+dj.enable_compilation_cache()
 
 LIMIT_SECONDS, LIMIT_GIGABYTES = 180.0, 2.0
 

@@ -81,7 +81,8 @@ _ROOMS = {
     "regimes": ("Regime", "regime_of"),
     "designs": ("Designs", "classify_designs"),
     "regime_maps": ("Boundary", "RegimeEdge", "RegimeMap", "regime_edges", "regime_map"),
-    "regime_plots": ("plot_regime_map",),
+    "regime_plots": ("plot_fold_curves", "plot_regime_map"),
+    "two_parameters": ("FoldCurve", "FoldCurves", "TwoParameterPoint", "fold_curves"),
     "explorer": ("Explorer", "explore"),
     "objectives": ("Optimum", "maximise"),
     "design": ("Design", "maximise_area_strain"),
@@ -152,7 +153,7 @@ if typing.TYPE_CHECKING:
     from .reading import best_designs, compare_sweeps, count_sweep, export_sweep, plot_sweep, select_regime
     from .records import Branch, Event, Ramp, SpecialPoint, State
     from .regime_maps import Boundary, RegimeEdge, RegimeMap, regime_edges, regime_map
-    from .regime_plots import plot_regime_map
+    from .regime_plots import plot_fold_curves, plot_regime_map
     from .regimes import Regime, regime_of
     from .results import Code, SceneError
     from .scene import PARAMETERS, Scene, Window, describe
@@ -171,6 +172,7 @@ if typing.TYPE_CHECKING:
         pressure_valley,
         zero_voltage_point,
     )
+    from .two_parameters import FoldCurve, FoldCurves, TwoParameterPoint, fold_curves
     from .units import VHB_4910, Units
 
 

@@ -30,6 +30,7 @@ __all__ = [
     "attach",
     "attach_free",
     "correction",
+    "linearised",
 ]
 
 LEVEL, BREAKDOWN, FOLD, VOLUME, PRESSURE = "level", "breakdown", "fold", "volume", "pressure"
@@ -122,8 +123,8 @@ def _assemble(kind: str, wanted: tuple, engine, u, theta: Conditions, rims, by_l
     return value, jnp.stack(by_u, axis=1), by_theta
 
 
-def _matrices(kind: str, wanted: tuple, engine: AbstractEngine, u, theta: Conditions):
-    """`_assemble`, with the shots it needs."""
+def linearised(kind: str, wanted: tuple, engine: AbstractEngine, u, theta: Conditions):
+    """F and V (k,), their derivatives by u (k, 3), and by the numbers in the leaves of θ in `wanted` (k, numbers)."""
     rims, by_leaf = towers(engine, theta.membrane, u, _ORDER.get(kind, 0), wanted)
     return _assemble(kind, wanted, engine, u, theta, rims, by_leaf)
 
@@ -158,7 +159,7 @@ def correction(kind: str, engine: AbstractEngine, u, theta: Conditions, free: in
 
     The unknowns are (λa, p, q), or with a `free` leaf of θ (λa, p, leaf) or (λa, p, q, leaf).
     """
-    value, by_u, by_theta = _matrices(kind, () if free is None else (free,), engine, u, theta)
+    value, by_u, by_theta = linearised(kind, () if free is None else (free,), engine, u, theta)
     return value[:-1], _move(kind, free, value, by_u, by_theta), value[-1]
 
 
@@ -235,7 +236,7 @@ def _(primals, tangents):
         return state, Solution(*map(jnp.zeros_like, state))
     at = _with_free(theta, free, state.free)
     wanted = which if free is None else (*which, free)
-    _, by_u, by_theta = _matrices(kind, wanted, engine, jnp.stack(state[:3]), at)
+    _, by_u, by_theta = linearised(kind, wanted, engine, jnp.stack(state[:3]), at)
     rates = _rates(kind, free, by_u, by_theta)
     return state, Solution(*(rates @ _numbers(moves)))
 
@@ -257,7 +258,7 @@ def _(primals, tangents):
     at = _attach(state, theta, FOLD if free is None else ONSET, engine, free)
     wanted = which if free is None else (*which, free)
     # at a given load: the equations without their third
-    _, by_u, by_theta = _matrices(LEVEL, wanted, engine, jnp.stack(at[:3]), _with_free(theta, free, at.free))
+    _, by_u, by_theta = linearised(LEVEL, wanted, engine, jnp.stack(at[:3]), _with_free(theta, free, at.free))
     rates = _free_rates(free, by_u, by_theta)
     return value, rates @ _numbers(moves)
 

@@ -1,4 +1,4 @@
-"""Figures of regime maps: areas named by their regime, exact curves between them, the optimum of a design."""
+"""Figures over two parameters: regime maps with exact curves between regimes, and curves of folds and breakdown."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .regimes import Regime
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["plot_regime_map"]
+__all__ = ["plot_fold_curves", "plot_regime_map"]
 
 #: pale where nothing breaks, told apart in grey too
 _COLOURS = {
@@ -91,6 +91,69 @@ def plot_regime_map(data: Any, *, ax: Axes | None = None, designs: Any = (), leg
             handles=small, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(small), fontsize=8, frameon=False
         )
     return ax
+
+
+#: kind of a point of fold curves: marker, word
+_MARKS = {
+    "cusp": ("^", "cusp"),
+    "merger": ("D", "branches merge"),
+    "fold_at_breakdown": ("X", "fold at breakdown"),
+    "zero_voltage": ("o", "fold at zero voltage"),
+}
+
+
+def plot_fold_curves(data: Any, *, ax: Axes | None = None, legend: bool = True) -> Axes:
+    """Draws `FoldCurves`: the control at folds and at breakdown over the parameter, with cusps, mergers and crossings.
+
+    Args:
+        data: a `FoldCurves`.
+        ax: the axes to draw on; new ones when None.
+        legend: whether to name what is drawn.
+
+    Returns:
+        The axes. Folds beyond electric breakdown are dotted.
+    """
+    import matplotlib.pyplot as plt
+
+    ax = plt.subplots(figsize=(6.4, 4.8), layout="constrained")[1] if ax is None else ax
+    assert ax is not None
+    styles = {
+        "folds": {"color": "#0072B2", "linewidth": 1.6},
+        "folds beyond breakdown": {"color": "#0072B2", "linewidth": 1.0, "linestyle": ":"},
+        "electric breakdown": {"color": "#D55E00", "linewidth": 1.2},
+    }
+    drawn = {}
+    for curve in data.curves:
+        x, pressure, voltage, ratio = curve.line.T
+        y = voltage if data.control == "voltage" else pressure
+        if curve.kind == "breakdown":
+            drawn["electric breakdown"] = ax.plot(x, y, **styles["electric breakdown"])[0]
+            continue
+        unbroken = ratio <= 1 + 1e-9
+        # a piece beyond breakdown takes the point it shares with its neighbour
+        beyond = ~unbroken | np.append(~unbroken[1:], False) | np.append(False, ~unbroken[:-1])
+        for name, there in (("folds", unbroken), ("folds beyond breakdown", beyond)):
+            if there.any() and (name == "folds" or not unbroken.all()):
+                drawn[name] = ax.plot(np.where(there, x, np.nan), np.where(there, y, np.nan), **styles[name])[0]
+    for kind, (marker, word) in _MARKS.items():
+        points = data.named(kind)
+        if points:
+            x, y = [p.parameter for p in points], [getattr(p, data.control) for p in points]
+            style = {"color": "black", "markersize": 6, "clip_on": False, "zorder": 4}
+            drawn[word] = ax.plot(x, y, marker, **style)[0]
+    low, high = data.within
+    if low > 0 and high / low > 10:
+        ax.set_xscale("log")
+    ax.set_xlim(low, high)
+    ax.set(xlabel=_words(data.parameter), ylabel=_CONTROLS[data.control])
+    if data.control == "voltage":
+        ax.set_ylim(bottom=0)
+    if legend and drawn:
+        ax.legend([*drawn.values()], [*drawn], fontsize=8)
+    return ax
+
+
+_CONTROLS = {"voltage": "Voltage Φ / (H √(μ/ε))", "pressure": "Pressure p A / (μH)"}
 
 
 def _words(name: str) -> str:

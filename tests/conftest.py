@@ -7,25 +7,24 @@ import pathlib
 import shutil
 import tempfile
 
-# One folder of a run, new each time: what one test compiles, or a surface it builds, the others read, in its other processes
-# too. Set before JAX is imported, and inherited by workers and by the scripts that tests start.
+# One folder of a run, new each time: what one test traces, compiles or builds, the others read, in its other processes too.
+# Set before JAX is imported, and inherited by workers and by the scripts that tests start.
 _OWN = None
 if "DIELECTRIC_JAX_TESTS" not in os.environ:
     _OWN = os.environ["DIELECTRIC_JAX_TESTS"] = tempfile.mkdtemp(prefix="dielectric_jax_tests_")
-    os.environ["JAX_COMPILATION_CACHE_DIR"] = f"{_OWN}/compiled"
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = os.environ["DIELECTRIC_JAX_CACHE"] = f"{_OWN}/kept"
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.2"
     os.environ["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"
-    os.environ["DIELECTRIC_JAX_CACHE"] = f"{_OWN}/kept"
 
 import hypothesis
 import jax
 import jax.numpy as jnp
 import pytest
-from jax.experimental.compilation_cache import compilation_cache
 
 import dielectric_jax as dj
 
 jax.config.update("jax_enable_x64", True)
+dj.enable_compilation_cache()
 
 
 def pytest_unconfigure():
@@ -45,26 +44,6 @@ def few_maps():
 # drawn examples are the same in every run: a failure is a failure of the code
 hypothesis.settings.register_profile("gate", deadline=None, derandomize=True, max_examples=60, database=None)
 hypothesis.settings.load_profile("gate")
-
-
-@pytest.fixture(scope="session")
-def cache_folder(tmp_path_factory):
-    """A folder in which the sweeps of the tests, also in other processes, keep surfaces and programs."""
-    return tmp_path_factory.mktemp("cache")
-
-
-@pytest.fixture(scope="module")
-def kept_surfaces(cache_folder):
-    """Surfaces and programs are kept while a module's tests run."""
-    before = jax.config.jax_compilation_cache_dir
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("DIELECTRIC_JAX_CACHE", str(cache_folder))
-        dj.enable_compilation_cache()
-        yield cache_folder
-        patch.setenv("DIELECTRIC_JAX_CACHE", "off")
-        dj.enable_compilation_cache()
-        jax.config.update("jax_compilation_cache_dir", before)
-        compilation_cache.reset_cache()
 
 
 @pytest.fixture(scope="session")

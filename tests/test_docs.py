@@ -13,7 +13,7 @@ PAGES = [page for page in sorted(DOCS.rglob("*.md")) if BLOCK.search(page.read_t
 
 
 @pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(DOCS)) for page in PAGES])
-def test_the_blocks_of_a_page_run(page, kept_surfaces, monkeypatch, tmp_path):
+def test_the_blocks_of_a_page_run(page, monkeypatch, tmp_path):
     matplotlib.use("Agg")
     monkeypatch.chdir(tmp_path)
     names: dict = {"__name__": "page"}

@@ -117,7 +117,7 @@ if __name__ == "__main__":
 """
 
 
-def test_a_worker_of_dask_is_killed_in_mid_run(tmp_path, kept_surfaces):
+def test_a_worker_of_dask_is_killed_in_mid_run(tmp_path):
     """The numbers are bit for bit those of one process."""
     script = tmp_path / "run.py"
     script.write_text(DASK)
@@ -126,7 +126,7 @@ def test_a_worker_of_dask_is_killed_in_mid_run(tmp_path, kept_surfaces):
     assert done.stdout == "killed 1 again True blocks 24\n"
 
 
-def test_an_interrupt_leaves_a_store_to_resume(tmp_path, kept_surfaces):
+def test_an_interrupt_leaves_a_store_to_resume(tmp_path):
     spec = tmp_path / "spec.toml"
     spec.write_text(
         "block = 2\n[scene]\ninitial_volume = 2.42\n[product]\n"

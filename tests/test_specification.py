@@ -33,7 +33,7 @@ def test_a_described_scene_comes_back():
     assert dj.describe(dj.scene_of(dj.describe(held))) == dj.describe(held)
 
 
-def test_every_kind_of_axis(tmp_path, kept_surfaces):
+def test_every_kind_of_axis(tmp_path):
     (tmp_path / "scenes.csv").write_text("breakdown_field_scale\n0.9\n1.0\n")
     spec = tmp_path / "spec.toml"
     spec.write_text(

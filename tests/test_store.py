@@ -36,7 +36,7 @@ def faults():
 
 
 @pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory, kept_surfaces, faults):
+def undisturbed(tmp_path_factory, faults):
     """A specification, and the store that a run of its own process makes of it."""
     folder = tmp_path_factory.mktemp("sweep")
     spec = folder / "spec.toml"

@@ -7,7 +7,6 @@ import xarray as xr
 import dielectric_jax as dj
 from dielectric_jax import Answer, Regime
 
-pytestmark = pytest.mark.usefixtures("kept_surfaces")
 SCENE = dj.Scene(dj.Membrane(), dj.Chamber(volume=1600.0, initial_volume=2.42))
 CHAMBERS = [467.84, 500.0, 800.0, 1600.0, 25000.0]
 

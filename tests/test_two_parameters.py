@@ -1,0 +1,162 @@
+"""Curves of folds and breakdown over a parameter: known cusps, the surface, and what the sheet of states says of mergers."""
+
+import json
+
+import jax
+import matplotlib
+import numpy as np
+import pytest
+
+import dielectric_jax as dj
+
+matplotlib.use("Agg")
+
+
+def chamber(volume=1600.0):
+    return dj.Scene(dj.Membrane(), dj.Chamber(volume=volume, initial_volume=2.42))
+
+
+@pytest.fixture(scope="module")
+def over_volume():
+    return dj.fold_curves(chamber(), "chamber_volume", (400.0, 3000.0), samples=3)
+
+
+@pytest.fixture(scope="module")
+def over_pressure():
+    scene = dj.Scene(dj.Membrane(), dj.ConstantPressure(1.0))
+    return dj.fold_curves(scene, "pressure", (1.3, 1.5), samples=3)
+
+
+def test_cusps_and_the_onset_of_bistability(over_volume):
+    assert over_volume.complete, over_volume.doubts
+    cusps = [p for p in over_volume.named("cusp") if p.breakdown_ratio < 1]
+    # as `cusp` finds them, by the second derivatives of the shot
+    for found, known in zip(cusps, (484.049660366, 551.399141264), strict=True):
+        assert abs(found.parameter / known - 1) < 1e-11
+    (rest,) = over_volume.named("zero_voltage")
+    assert rest.voltage == 0 and abs(rest.parameter / 1455.896262457 - 1) < 1e-11
+
+
+def test_every_point_is_a_fold_or_a_breakdown_of_its_chamber(over_volume):
+    """The ramp on the surface knows the folds and breakdowns of chambers by other means."""
+    surface = dj.Surface.build(dj.Membrane())
+    compared = 0
+    for curve in over_volume.curves:
+        ramps = dj.chamber_ramps(surface, curve.parameter, 2.42)
+        points = ramps.folds if curve.kind == "fold" else ramps.breakdowns
+        for k in range(len(curve.parameter)):
+            away = np.nan_to_num(np.abs(points.apex_stretch[k] - curve.apex_stretch[k]), nan=np.inf)
+            if curve.breakdown_ratio[k] > 1.1 or not away.min() < 1e-4:
+                continue  # beyond what the rows hold, or two folds that merge
+            near = int(np.argmin(away))
+            compared += 1
+            assert abs(points.voltage[k, near] ** 2 - curve.voltage[k] ** 2) < 1e-11
+            assert abs(points.volume[k, near] / curve.volume[k] - 1) < 1e-7
+    assert compared > 60
+    assert max(curve.error_estimate.max() for curve in over_volume.curves) < 1e-9
+
+
+def test_a_merger_is_a_stationary_point_of_the_pressure_on_the_sheet(over_pressure):
+    """At constant pressure branches are contours of p(λa, q): they touch where both its derivatives vanish."""
+    assert over_pressure.complete, over_pressure.doubts
+    (merger,) = over_pressure.named("merger")
+    surface = dj.Surface.build(dj.Membrane())
+    at = merger.apex_stretch, merger.voltage**2
+    assert abs(float(surface(*at).pressure) - merger.pressure) < 1e-11
+    by_apex, by_load = jax.grad(lambda a, q: surface(a, q).pressure, (0, 1))(*at)
+    assert abs(float(by_apex)) < 1e-7 and abs(float(by_load)) < 1e-5
+    # a saddle: two branches cross there, and beyond they are joined anew
+    (aa, aq), (_, qq) = jax.hessian(lambda x: surface(x[0], x[1]).pressure)(np.array(at))
+    assert aa * qq < aq**2
+    # the valley of the p–V curve at zero voltage
+    (rest,) = over_pressure.named("zero_voltage")
+    assert abs(rest.pressure - 1.361703319141) < 2e-12 and abs(rest.parameter - rest.pressure) < 1e-14
+
+
+def test_folds_of_the_pressure_over_the_prestretch():
+    held = dj.Scene(dj.Membrane(), dj.ConstantVoltage(0.0))
+    found = dj.fold_curves(held, "prestretch", (1.9, 2.2), samples=2)
+    assert found.complete and found.control == "pressure"
+    (cusp,) = found.named("cusp")
+    assert abs(cusp.parameter - 2.110288) < 5e-7
+    assert not [c for c in found.curves if c.kind == "breakdown"]
+
+
+def test_one_cusp_in_two_planes():
+    """Where peak and valley of p merge at a voltage, so do the folds of the voltage at that pressure: one state."""
+    held = dj.Scene(dj.Membrane(), dj.ConstantPressure(1.0))
+    found = dj.fold_curves(held, "prestretch", (2.1, 2.3), kinds=("fold",), samples=2)
+    (cusp,) = found.named("cusp")
+    other = dj.pressure_cusp(dj.Membrane(), cusp.voltage, within=(2.0, 2.4))
+    assert abs(float(other.parameter) / cusp.parameter - 1) < 1e-10
+    assert abs(float(other.pressure) - 1) < 1e-10
+
+
+def test_breakdown_turns_where_its_law_does():
+    """The law of VHB has a kink at λ = 5.684; the curve of breakdown has a corner there, and goes on."""
+    found = dj.fold_curves(chamber(), "stretch_limit", (90.0, 100.0), kinds=("breakdown",), samples=2)
+    (curve,) = found.curves
+    assert found.complete and set(curve.ends) == {"lower_bound", "upper_bound"}
+    assert curve.apex_stretch.min() < 5.684 < curve.apex_stretch.max()
+    law = dj.VHBBreakdown()
+    for apex, voltage in zip(curve.apex_stretch, curve.voltage, strict=True):
+        assert abs(voltage * apex**2 / float(law.field(apex)) - 1) < 1e-12
+
+
+def test_the_record_and_the_figure(over_volume):
+    record = json.loads(json.dumps(over_volume.to_dict(), allow_nan=False))
+    assert record["complete"] and {c["kind"] for c in record["curves"]} == {"fold", "breakdown"}
+    ax = over_volume.plot()
+    named = {text.get_text() for text in ax.get_legend().get_texts()}
+    assert {"folds", "electric breakdown", "cusp", "fold at zero voltage"} <= named
+    assert ax.get_xlim() == (400.0, 3000.0) and "Chamber volume" in ax.get_xlabel()
+    matplotlib.pyplot.close(ax.figure)
+
+
+def test_a_fold_at_breakdown_lies_on_both_curves(over_volume):
+    (crossing,) = over_volume.named("fold_at_breakdown")
+    law = dj.VHBBreakdown()
+    assert abs(crossing.voltage * crossing.apex_stretch**2 / float(law.field(crossing.apex_stretch)) - 1) < 1e-9
+    diagram = dj.voltage_volume(chamber(crossing.parameter))
+    fold, broken = (
+        min((p for p in diagram.special_points if p.kind == kind), key=lambda p: abs(p.volume - crossing.volume))
+        for kind in ("fold", "breakdown")
+    )
+    for p in (fold, broken):
+        assert abs(np.sqrt(p.voltage_squared) / crossing.voltage - 1) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"parameter": "pressure"}, "`pressure` must be a parameter of this scene"),
+        ({"within": (2.0, 1.0)}, "`within` must be finite with low < high, but is"),
+        ({"within": 3.0}, "`within` must be a pair"),
+        ({"within": (-5.0, 1.0)}, "must be positive"),
+        ({"kinds": ("folds",)}, "`kinds` must hold"),
+        ({"samples": 1}, "`samples` must be a whole number"),
+        ({"largest_ratio": 3.0}, "`largest_ratio` must lie"),
+    ],
+)
+def test_bad_input_is_told_in_one_sentence(changes, words):
+    given = {"parameter": "chamber_volume", "within": (400.0, 800.0)} | changes
+    with pytest.raises(ValueError, match=words):
+        dj.fold_curves(chamber(), given.pop("parameter"), given.pop("within"), **given)
+
+
+def test_a_loading_without_folds_of_voltage_or_pressure_is_refused():
+    scene = dj.Scene(dj.Membrane(), dj.ChargeControl(dj.ConstantPressure(1.0)))
+    with pytest.raises(ValueError, match="`loading` must be a Chamber, a ConstantPressure or a ConstantVoltage"):
+        dj.fold_curves(scene, "prestretch", (1.0, 2.0))
+
+
+def test_a_curve_ends_where_its_filling_does():
+    """Up to the peak of p a chamber is filled by a state before it; at higher pressures by one near lock-up."""
+    scene = dj.Scene(dj.Membrane(), dj.Chamber(volume=500.0, initial_pressure=1.8))
+    found = dj.fold_curves(scene, "initial_pressure", (1.905, 1.912), kinds=("breakdown",), samples=2)
+    assert found.complete, found.doubts
+    below, above = sorted(found.curves, key=lambda c: c.parameter.min())
+    assert set(below.ends) == {"lower_bound", "no_filling"} and set(above.ends) == {"upper_bound", "no_filling"}
+    for curve in (below, above):
+        nearest = np.abs(curve.parameter - 1.908684829414).argmin()
+        assert abs(curve.parameter[nearest] - 1.908684829414) < 1e-3
