@@ -96,9 +96,7 @@ _NONE = {
 }
 _LAW = ("breakdown", "area", "ratio")
 QUICK = {
-    "snap voltage": ("chamber_volume", "stretch_limit"),
-    "landing volume": ("initial_volume",),
-    "peak volume": ("voltage",),
+    "snap voltage": ("chamber_volume",),
     "area strain": ("breakdown_field_scale",),
 }
 

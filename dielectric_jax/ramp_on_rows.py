@@ -33,15 +33,20 @@ class Outcome(enum.IntEnum):
     unresolved = 4  # ask `voltage_volume` for this loading
 
 
-def _ramp(rows: Rows, condition: Conditions, start: Events, q, v, found, again, above):
-    """The ramp and special points of one loading from its q and V on the rows."""
+def _span(start: Events, plain):
+    """The row of the start, and the first and last of the plain rows around it."""
     at = jnp.arange(ROWS)
-    plain = found & ~again
     begin = jnp.where(start.seen(), start.place, 0.0).astype(int)
     hole, ends = first_place(~plain & (at > begin))
     last = jnp.where(ends, hole - 1, ROWS - 1)
     hole, begins = last_place(~plain & (at <= begin))
-    first = jnp.where(begins, hole + 1, 0)
+    return begin, jnp.where(begins, hole + 1, 0), last
+
+
+def _ramp(rows: Rows, condition: Conditions, start: Events, q, v, found, again, above):
+    """The ramp and special points of one loading from its q and V on the rows."""
+    at = jnp.arange(ROWS)
+    begin, first, last = _span(start, found & ~again)
     marks = Marks.of(ContourOnRows(rows, q, v, first, last))
     folds, peak = marks.folds, marks.peak
 
@@ -159,12 +164,8 @@ def _snap(rows: Rows, condition: Conditions, start: Events, q, v, found, again):
     Decided is a contour that rises from its start on plain rows to a maximum, without another dip on the way.
     """
     at = jnp.arange(ROWS)
-    plain = found & ~again
-    begin = jnp.where(start.seen(), start.place, 0.0).astype(int)
-    hole, ends = first_place(~plain & (at > begin))
-    last = jnp.where(ends, hole - 1, ROWS - 1)
-    hole, begins = last_place(~plain & (at <= begin))
-    contour = ContourOnRows(rows, q, v, jnp.where(begins, hole + 1, 0), last)
+    begin, first, last = _span(start, found & ~again)
+    contour = ContourOnRows(rows, q, v, first, last)
     rise = q[1:] - q[:-1]
     row, turns = first_place((at[1:-1] > begin) & (at[1:-1] < last) & (rise[:-1] > 0) & (rise[1:] <= 0))
     row = row + 1
