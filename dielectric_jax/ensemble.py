@@ -38,7 +38,7 @@ _CHUNK = 256
 _FEW = 8  # loadings that are answered together where a single one is asked for at once
 _POLISHED = 1e-9  # from this error on the events of a ramp are met on the surface itself
 _LARGEST_ERROR = 1e-8  # of a ramp that is told, in the end
-_SOME = 32  # ramps that are polished together
+_SOME = 8  # ramps that are polished together
 
 
 class Point(typing.NamedTuple):

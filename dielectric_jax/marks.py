@@ -34,6 +34,7 @@ _FOLDS, _ZEROS, _BREAKS = 6, 5, 3  # that are listed
 _KINDS = np.repeat([FOLD, LEVEL, BREAKDOWN], [_FOLDS, _ZEROS, _BREAKS])
 _DIPS = 3
 _AMBIGUOUS = 1e-6  # two folds whose loads differ by less than this share are not told apart
+_OF_STRETCH = 0.2  # weight of the relative error of λa − λ0 at a fold beside that of its load
 _STILL = 1e-8  # of a slope, in the scale of q: what the surface's error may hide
 _MERGING = 2e-3  # a slope of q between rows below this share of the largest may hide two folds
 
@@ -98,8 +99,8 @@ class ContourOnRows(eqx.Module):
     def meet(self, row, kind, target):
         """The event that begins at a row: FOLD of q, LEVEL q = target, or BREAKDOWN q = q_b(λa).
 
-        Gives its place in rows, q and V there, and the error of both, for folds of λa − λ0 too; the error is infinite where
-        Newton ends elsewhere.
+        Gives its place in rows, q and V there, and the error of both, for folds a fifth of that of λa − λ0 too; the error is
+        infinite where Newton ends elsewhere.
         """
         (q_all, v_all), (q_less, v_less), scale, place_of = self._polynomials(row)
         fold = kind == FOLD
@@ -132,7 +133,7 @@ class ContourOnRows(eqx.Module):
         # a stiff chamber holds V at its fold, but not λa, which the area strain is made of
         apex, apex_slope = jax.jvp(lambda x: self.rows.apex_at(place_of(x)), (x,), (jnp.ones_like(x),))
         stretched = apex - self.rows.surface.membrane.prestretch
-        relative = jnp.maximum(relative, jnp.where(fold, jnp.abs(apex_slope) * shift / stretched, 0.0))
+        relative = jnp.maximum(relative, jnp.where(fold, _OF_STRETCH * jnp.abs(apex_slope) * shift / stretched, 0.0))
         near = jnp.abs(x - begin) <= 1.5 / (_STENCIL / 2)
         wide = self.last - self.first >= _STENCIL - 1
         return place_of(x), q, v, jnp.where(near & wide, relative, jnp.inf)
