@@ -75,7 +75,8 @@ def special_pairs(ramps, i: int, diagram, ramp):
         mine = [(a, v, e) for a, v, e in mine if np.isfinite(a) and e <= ALLOWED]
         own = [p for p in diagram.special_points if p.kind == kind and p.branch == branch_of(diagram, start)]
         # a curve that was followed twice, and says so by `complete`, has its points twice
-        own = [p for i, p in enumerate(own) if all(abs(p.apex_stretch - o.apex_stretch) > 1e-9 for o in own[:i])]
+        if not diagram.complete:
+            own = [p for i, p in enumerate(own) if all(abs(p.apex_stretch - o.apex_stretch) > 1e-9 for o in own[:i])]
         for apex, volume, _ in mine:
             near = min(own, key=lambda p: abs(p.apex_stretch - apex), default=None)
             yield kind, volume, near.volume if near is not None else None

@@ -71,9 +71,9 @@ def on_curves(found: dict) -> dict:
     return dict(zip(KNOWN, numbers, strict=True))
 
 
-def apart_from_surface(surface, over) -> float:
-    """The largest relative difference of Φ, and of λa at breakdown, between curves and chambers on the surface."""
-    worst = 0.0
+def apart_from_surface(surface, over) -> tuple[float, int]:
+    """The largest relative difference of Φ between curves and chambers on the surface, and how many points have it."""
+    worst, compared = 0.0, 0
     for curve in over.curves:
         ramps = dj.chamber_ramps(surface, curve.parameter, FILLING)
         points = ramps.folds if curve.kind == "fold" else ramps.breakdowns
@@ -84,8 +84,8 @@ def apart_from_surface(surface, over) -> float:
                 continue  # two folds that merge here: the surface tells none
             near = int(np.nanargmin(np.abs(places - curve.apex_stretch[k])))
             if abs(places[near] - curve.apex_stretch[k]) < 1e-3:
-                worst = max(worst, abs(loads[near] / curve.voltage[k] - 1))
-    return worst
+                worst, compared = max(worst, abs(loads[near] / curve.voltage[k] - 1)), compared + 1
+    return worst, compared
 
 
 def draw_derivatives(axes, surface) -> dict:
@@ -138,7 +138,7 @@ def main() -> int:
     found = curves(options.quick)
     met = on_curves(found)
     twice = max(abs(met[name] / value - 1) for name, value in known.items())
-    apart = apart_from_surface(surface, found["chamber_volume"])
+    apart, compared = apart_from_surface(surface, found["chamber_volume"])
     errors = {name: abs(met[name] - value) / digit for name, (value, digit) in KNOWN.items()}
     record = {
         "machine": machine(),
@@ -148,6 +148,7 @@ def main() -> int:
         "errors_in_last_digits": errors,
         "difference_between_search_and_curve": twice,
         "difference_from_surface": apart,
+        "compared_with_surface": compared,
         "curves": {name: one.to_dict() for name, one in found.items()},
     }
     if options.figures:
@@ -173,7 +174,10 @@ def main() -> int:
             f"{name:34} {met[name]:.9f}  differs by {error:.2f} of half the last known digit",
             file=sys.stderr,
         )
-    print(f"search and curve differ by {twice:.1e}, curve and surface by {apart:.1e}", file=sys.stderr)
+    print(
+        f"search and curve differ by {twice:.1e}, curve and surface by {apart:.1e} at {compared} points",
+        file=sys.stderr,
+    )
     for name, one in found.items():
         print(f"{name}: {len(one.curves)} curves, {len(one.points)} points {' '.join(one.doubts)}", file=sys.stderr)
     complete = all(one.complete for one in found.values())

@@ -31,7 +31,6 @@ _MOST_POINTS = 2000
 _LEAP = 0.05  # of λa of the filling from one point to the next: it is another branch's
 _ON = 1e-9  # of a level, in scaled unknowns
 _PLACE = 1e-11  # of a point between two, as a share of the way
-_LEVELS = {"zero_voltage": (2, 0.0)}
 LARGEST_LOAD = SCANNED_LOAD  # of t: beyond it folds crowd towards the cone, without end
 _LOG_FROM = 4.0  # the ratio of bounds from which the parameter is followed in its logarithm
 
@@ -89,8 +88,9 @@ class ConditionsOver:
         self.last: tuple = ()
 
     def begin_anew(self) -> None:
-        """Forgets the last filling, which may be another branch's."""
-        self.start, self.last = None, ()
+        """Forgets the last filling, which may be another branch's; one that does not move stays."""
+        if self.moves:
+            self.start, self.last = None, ()
 
     @property
     def filling(self) -> float:
@@ -181,10 +181,6 @@ class System:
     def value(self, w: float) -> float:
         low, high = self.within
         return float(low * (high / low) ** w if self.logarithmic else low + w * (high - low))
-
-    def share(self, value: float) -> float:
-        low, high = self.within
-        return math.log(value / low) / math.log(high / low) if self.logarithmic else (value - low) / (high - low)
 
     def rate(self, w: float) -> float:
         low, high = self.within
@@ -359,7 +355,8 @@ def _passed(system: System, here: Place, there: Place, levels: np.ndarray, large
         if function(there) < 0 and function(here) < _ON:
             return [], [], [], reason
         if function(there) < 0:
-            there, end = _between(system, here, there, _LEVELS.get(reason, function)), reason
+            level = (2, 0.0) if reason == "zero_voltage" else function
+            there, end = _between(system, here, there, level), reason
     for i, w in enumerate(levels):
         before, after = here.z[3] - w, there.z[3] - w
         if abs(after) < _ON or (before * after < 0 and abs(before) > _ON):

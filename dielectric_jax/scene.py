@@ -31,7 +31,7 @@ from .materials import (
 from .membrane import Membrane
 from .units import Units, is_concrete
 
-__all__ = ["PARAMETERS", "Scene", "Window", "describe"]
+__all__ = ["PARAMETERS", "Scene", "Window", "describe", "pair"]
 
 #: loadings whose fields share a name
 _OWNERS = {"chamber_volume": Chamber, "volume": PrescribedVolume}
@@ -63,9 +63,8 @@ PARAMETERS = {
 }
 
 
-def _pair(name, value):
-    if value is None:
-        return None
+def pair(name, value) -> tuple[float, float]:
+    """Two finite numbers, the lower first; raises ValueError by the name otherwise."""
     try:
         low, high = (float(v) for v in value)
     except (TypeError, ValueError):
@@ -82,10 +81,10 @@ class Window(eqx.Module):
     """
 
     apex_stretch: tuple[float, float] | None = eqx.field(
-        default=None, static=True, converter=lambda v: _pair("stretch_window", v)
+        default=None, static=True, converter=lambda v: None if v is None else pair("stretch_window", v)
     )
     load_fraction: typing.Any = eqx.field(
-        default=(-1.0, 1.0), static=True, converter=lambda v: (-1.0, 1.0) if v is None else _pair("load_window", v)
+        default=(-1.0, 1.0), static=True, converter=lambda v: (-1.0, 1.0) if v is None else pair("load_window", v)
     )
 
     def __check_init__(self):

@@ -8,7 +8,7 @@ which pseudo-arclength continuation follows with exact Jacobians. Along a curve 
     while the control goes on   at a merger: two branches touch, and beyond it they are joined anew, or a loop is gone.
 
 Where curves begin, diagrams at several values of the parameter say; and every fold of every diagram must lie on a curve, every
-crossing of a curve in its diagram. Bracketed points are met by the secant method along the curve.
+crossing of a curve in its diagram. Bracketed points are met by Brent's method along the curve.
 """
 
 import dataclasses
@@ -24,7 +24,7 @@ from .points import BREAKDOWN, FOLD, PRESSURE_FOLD
 from .records import plain
 from .regime_plots import plot_fold_curves
 from .results import SceneError
-from .scene import Scene
+from .scene import Scene, pair
 from .stations import hermite
 
 __all__ = ["FoldCurve", "FoldCurves", "TwoParameterPoint", "fold_curves"]
@@ -127,12 +127,7 @@ def _check(scene, parameter, within, samples, kinds, largest_ratio) -> tuple[flo
             f"`loading` must be a Chamber, a ConstantPressure or a ConstantVoltage here, but is {scene.loading!r}."
         )
     scene.path_of(parameter)
-    try:
-        low, high = (float(v) for v in within)
-    except (TypeError, ValueError):
-        raise ValueError(f"`within` must be a pair of numbers (low, high), but is {within!r}.") from None
-    if not (math.isfinite(low) and math.isfinite(high) and low < high):
-        raise ValueError(f"`within` must be finite with low < high, but is ({low!r}, {high!r}).")
+    low, high = pair("within", within)
     for value in (low, high):
         scene.replace(**{parameter: value})
     if not (isinstance(samples, int) and samples >= 2):

@@ -220,6 +220,7 @@ def test_fold_curves_and_their_known_numbers(tmp_path):
     record, said = quick("fold_curves.py", tmp_path)
     assert max(record["errors_in_last_digits"].values()) <= 1, said
     assert record["difference_between_search_and_curve"] < 1e-10 and 0 < record["difference_from_surface"] < 1e-9
+    assert record["compared_with_surface"] > 20
     # none between the cusps; above them a snap, and a snap-back up to the onset of bistability
     folds = [c["parameter"] for c in record["curves"]["chamber_volume"]["curves"] if c["kind"] == "fold"]
     assert len(folds) == 2 and not any(484.0497 < v < 551.3991 for curve in folds for v in curve)
