@@ -8,6 +8,8 @@ machine, not the seconds. The rows do not hold the same:
   It prints eleven digits, so its errors below 3e-13 are chance; folds are two, and one that is missing was not located.
 - `voltage_volume`: every branch in the window and an independent scan for missed ones, 256 points or more a branch, all
   special points, stability, error estimates, the ramp up and down. On a surface the surface's building is apart.
+- `glance`: one chamber alone on the surface: what the next row tells, as records ready to be drawn (no
+  folds below zero voltage).
 - `chamber_ramps`: one chamber out of a batch, its branch through the start on 256 stretches as far as it is alone there, with
   its special points and the events of the ramp, up and down.
 
@@ -74,6 +76,23 @@ def run_diagram(scene: dj.Scene, **options) -> dict:
     }
 
 
+def run_glance(scene: dj.Scene, surface: dj.Surface) -> dict:
+    """One chamber at a glance."""
+    begin = time.perf_counter()
+    seen = dj.glance(scene, surface)
+    seconds = time.perf_counter() - begin
+    up = {e.event: e.state.voltage for e in seen.events if e.direction == "up"}
+    return {
+        "holds": "branch and all events",
+        "seconds": seconds,
+        "branches": len(seen.branches),
+        "points": sum(len(b) for b in seen.branches),
+        "folds": sum(p.kind == "fold" for p in seen.special_points),
+        "snap": up["snap"],
+        "breakdown": up["breakdown"],
+    }
+
+
 def run_ramps(surface: dj.Surface, chambers: np.ndarray) -> dict:
     """The ramps of many chambers, the last of which is judged; seconds of one."""
     begin = time.perf_counter()
@@ -103,6 +122,7 @@ def contestants(quick: bool) -> tuple[dict, float]:
         "continuation": lambda: run_diagram(scene),
         "surface, certified": lambda: run_diagram(scene, surface=surface),
         "surface alone": lambda: run_diagram(scene, surface=surface, certify=False, extend=False),
+        "glance": lambda: run_glance(scene, surface),
         f"ramp, one of {len(chambers)}": lambda: run_ramps(surface, chambers),
     }, build
 

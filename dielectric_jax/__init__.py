@@ -83,6 +83,7 @@ _ROOMS = {
     "regime_maps": ("Boundary", "RegimeEdge", "RegimeMap", "regime_edges", "regime_map"),
     "regime_plots": ("plot_fold_curves", "plot_regime_map"),
     "two_parameters": ("FoldCurve", "FoldCurves", "TwoParameterPoint", "fold_curves"),
+    "glances": ("Glance", "glance"),
     "explorer": ("Explorer", "explore"),
     "objectives": ("Optimum", "maximise"),
     "design": ("Design", "maximise_area_strain"),
@@ -130,6 +131,7 @@ if typing.TYPE_CHECKING:
     )
     from .explorer import Explorer, explore
     from .family import SurfaceFamily
+    from .glances import Glance, glance
     from .loading import Chamber, ChargeControl, ConstantPressure, ConstantVoltage, PrescribedVolume
     from .material_page import balloon_pressure, plot_material, tension_curves
     from .materials import (

@@ -25,7 +25,7 @@ from .materials import largest_load
 from .membrane import Membrane
 from .plotting import plot_diagram
 from .ramp import build_ramp, build_way_back, flat_ramp
-from .records import Branch, Ramp, SpecialPoint, State, events_table, plain
+from .records import Branch, Ramp, SpecialPoint, State, events_table, plain, points_table
 from .results import Code, SceneError
 from .scene import SCANNED_LOAD, Scene, Window, describe
 from .solved import Solved, special_record
@@ -41,7 +41,6 @@ from .states import (
 from .states import filling as filling_of
 from .stations import Curve
 from .surface import Surface
-from .tables import html_table
 from .tracing import warm_up
 from .units import Units
 
@@ -150,13 +149,8 @@ class Diagram:
 
     def _repr_html_(self) -> str:
         units = self.scene.units
-        points = self.special_points if units is None else units.read(self.special_points)
-        named = {} if units is None else units.names(read=True)
-        names = ("voltage", "pressure", "volume", "apex_stretch", "breakdown_ratio", "index")
-        heads = [n.replace("_", " ") + (f" / {named[n]}" if n in named else "") for n in names]
-        rows = [[p.kind, p.branch, *(getattr(p, n) for n in names)] for p in points]
         title = f"{self.kind}, {len(self.branches)} branches, {'complete' if self.complete else 'not complete'}"
-        told = html_table(["kind", "branch", *heads], rows, title)
+        told = points_table(self.special_points, title, units)
         strain = "" if self.area_strain is None else f"area strain {self.area_strain:.6g} ({self.area_strain_reason})"
         return told + (events_table(self.events, strain, units) if self.events else "")
 

@@ -1,4 +1,4 @@
-"""A glance at a scene: its diagram read off the rows of a surface in some hundredths of a second, ready for the plots.
+"""A glance at a scene: its diagram read off the rows of a surface in some thousandths of a second, ready for the plots.
 
 What `voltage_volume` finds by continuation or by contours, exact to the surface's error, but no farther than the rows go (1.2
 times the load of breakdown), and one state a row: where a stretch of the apex has several the curve has a gap. Ramps that
@@ -13,13 +13,15 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import PPoly, make_interp_spline
 
-from .ensemble import Curves, Outcome, Ramps, curves_and_ramps
+from .ensemble import Curves, Outcome, Ramps, curves_and_ramps, filling_volumes
 from .loading import Chamber, ConstantPressure, ConstantVoltage
-from .records import Branch, Event, SpecialPoint, State
+from .plotting import plot_diagram
+from .records import Branch, Event, SpecialPoint, State, events_table, points_table
 from .regimes import Regime, regimes_of_ramps
 from .results import Code, SceneError
 from .rows import Rows, rows_of
 from .scene import Scene
+from .states import check_concrete, check_surface
 from .surface import ById, Surface
 
 __all__ = ["Glance", "glance"]
@@ -49,34 +51,73 @@ class Glance:
     area_strain: float
     several: bool
 
+    def gas_pressure(self, volume) -> np.ndarray | None:
+        """The pressure of the chamber's gas at `volume`; None where there is no chamber or no event of its ramp."""
+        if not isinstance(self.scene.loading, Chamber) or not self.events:
+            return None
+        start = self.events[0].state
+        return np.asarray(
+            self.scene.loading.contour(start.pressure, start.volume).gas_pressure(np.asarray(volume, float))
+        )
+
+    def plot(self, **options):
+        """The diagram as a matplotlib figure, see `plotting.plot_diagram`."""
+        return plot_diagram(self, **options)
+
+    def _repr_html_(self) -> str:
+        units = self.scene.units
+        told = points_table(self.special_points, f"{self.kind}, read off a surface", units)
+        return told + (events_table(self.events, self.regime.name, units) if self.events else "")
+
+    def __repr__(self) -> str:
+        path = " → ".join(event.event for event in self.events)
+        lines = [f"Glance({self.kind}, regime={self.regime.name}, area_strain={self.area_strain:.6g}"]
+        lines += [f"  {entry!r}" for entry in (*self.branches, *self.special_points)]
+        return "\n".join([*lines, f"  ramps: {path}"] if path else lines) + ")"
+
 
 def glance(scene: Scene, surface: Surface) -> Glance:
-    """The diagram of a scene as far as the rows of its membrane's surface tell it.
+    """The diagram of a scene as far as the rows of its membrane's surface tell it, in milliseconds.
 
-    The scene holds a chamber of known filling V_0, a pressure, or a voltage. Raises ValueError for another loading, and
-    SceneError where the surface holds no state of it.
+    The scene holds a chamber, a pressure, or a voltage; its window is not looked at. Special points and events carry bounds
+    of their relative errors. Raises ValueError for another loading or the surface of another membrane, and SceneError where
+    the surface holds no state of the scene.
 
-    >>> from dielectric_jax import Membrane
+    >>> from dielectric_jax import Chamber, Membrane, Scene
     >>> seen = glance(Scene(Membrane(), Chamber(volume=1600.0, initial_volume=2.42)), Surface.build(Membrane()))
     >>> [event.event for event in seen.events if event.direction == "up"], seen.regime.name
     (['start', 'snap', 'landing', 'breakdown'], 'stays')
     >>> round(seen.events[1].state.voltage, 9)
     0.07649536
     """
+    if not isinstance(scene, Scene):
+        raise ValueError(f"`scene` must be a Scene, but is a {type(scene).__name__}.")
+    check_concrete(scene)
+    if not isinstance(surface, Surface):
+        raise ValueError(f"`surface` must be a Surface, but is a {type(surface).__name__}.")
+    check_surface(surface, scene.membrane)
     loading = scene.loading
     if isinstance(loading, ConstantVoltage):
         return _pressure_volume(scene, surface, float(loading.voltage))
     if isinstance(loading, ConstantPressure):
         given = {"pressure": float(loading.pressure)}
-    elif isinstance(loading, Chamber) and loading.initial_volume is not None:
-        names = ("initial_volume", "atmospheric_pressure", "polytropic_exponent")
-        given = {"chamber_volume": float(loading.volume)} | {n: float(getattr(loading, n)) for n in names}
+    elif isinstance(loading, Chamber):
+        names = ("atmospheric_pressure", "polytropic_exponent")
+        given = {"chamber_volume": float(loading.volume), "initial_volume": _filling(loading, surface)}
+        given |= {n: float(getattr(loading, n)) for n in names}
     else:
-        raise ValueError(
-            "`loading` must be a Chamber with an initial_volume, a ConstantPressure or a ConstantVoltage, "
-            f"but is {loading!r}."
-        )
+        raise ValueError(f"`loading` must be a Chamber, a ConstantPressure or a ConstantVoltage, but is {loading!r}.")
     return _voltage_volume(scene, surface, *curves_and_ramps(surface, given))
+
+
+def _filling(chamber: Chamber, surface: Surface) -> float:
+    """V_0, given or that of p_0."""
+    if chamber.initial_volume is not None:
+        return float(chamber.initial_volume)
+    volume = float(filling_volumes(surface, chamber.initial_pressure))
+    if np.isnan(volume):
+        raise SceneError(Code.no_equilibrium)
+    return volume
 
 
 def _voltage_volume(scene: Scene, surface: Surface, curves: Curves, ramps: Ramps) -> Glance:

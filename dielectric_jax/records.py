@@ -24,7 +24,7 @@ _TOLD = (
     "index",
     "error_estimate",
 )
-__all__ = ["QUANTITIES", "Branch", "Event", "Ramp", "SpecialPoint", "State"]
+__all__ = ["QUANTITIES", "Branch", "Event", "Ramp", "SpecialPoint", "State", "events_table", "points_table"]
 
 #: the columns of a branch, in the order of the JSON document
 QUANTITIES = (
@@ -204,11 +204,22 @@ class Ramp:
         return [e.to_json() for e in self.events]
 
 
+def points_table(points: list[SpecialPoint], caption: str = "", units: Any = None) -> str:
+    """Special points as an HTML table, in the units' reading where they are given."""
+    names = ("voltage", "pressure", "volume", "apex_stretch", "breakdown_ratio", "index")
+    shown = points if units is None else units.read(points)
+    rows = [[p.kind, p.branch, *(getattr(p, n) for n in names)] for p in shown]
+    return html_table(["kind", "branch", *_heads(names, units)], rows, caption)
+
+
+def _heads(names: tuple[str, ...], units: Any) -> list[str]:
+    named = {} if units is None else units.names(read=True)
+    return [n.replace("_", " ") + (f" / {named[n]}" if n in named else "") for n in names]
+
+
 def events_table(events: tuple[Event, ...], caption: str = "", units: Any = None) -> str:
     """The events of ramps as an HTML table, in the units' reading where they are given."""
     names = ("voltage", "pressure", "volume", "apex_stretch", "breakdown_ratio")
     shown = events if units is None else units.read(events)
-    named = {} if units is None else units.names(read=True)
-    heads = [n.replace("_", " ") + (f" / {named[n]}" if n in named else "") for n in names]
     rows = [[e.event, e.direction, *(getattr(e.state, n) for n in names), e.reason or ""] for e in shown]
-    return html_table(["event", "direction", *heads, "reason"], rows, caption)
+    return html_table(["event", "direction", *_heads(names, units), "reason"], rows, caption)

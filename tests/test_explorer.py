@@ -13,7 +13,6 @@ import pytest
 pytest.importorskip("ipywidgets")
 
 import dielectric_jax as dj
-from dielectric_jax.glances import glance
 
 PEAK = 1.908684829414, 2.9634068291
 VALLEY = 1.361703319141, 59.066473804
@@ -101,7 +100,7 @@ def test_a_glance_agrees_with_continuation(membrane, loading):
         diagram, place = dj.pressure_volume(membrane, float(loading.voltage)), "pressure"
     else:
         diagram, place = dj.voltage_volume(scene), "voltage"
-    seen = glance(scene, dj.Surface.build(membrane))
+    seen = dj.glance(scene, dj.Surface.build(membrane))
     for point in seen.special_points:
         near = [
             p for p in diagram.special_points if p.kind == point.kind and abs(p.volume - point.volume) < 1e-7 * p.volume
@@ -124,6 +123,47 @@ def test_a_glance_agrees_with_continuation(membrane, loading):
         for mine, known in until_lost(ups):
             assert mine.event == known.event
             assert abs(mine.state.voltage - known.state.voltage) < 1e-9
+
+
+def test_a_glance_at_a_chamber_filled_to_a_pressure(membrane):
+    """p_0 = 1.886612680245 fills the chamber to V_0 = 2.42."""
+    surface = dj.Surface.build(membrane)
+    by_pressure, by_volume = (
+        dj.glance(dj.Scene(membrane, dj.Chamber(volume=1600.0, **filling)), surface)
+        for filling in ({"initial_pressure": 1.886612680245}, {"initial_volume": 2.42})
+    )
+    snaps = [seen.events[1].state.voltage for seen in (by_pressure, by_volume)]
+    assert abs(snaps[0] - snaps[1]) < 1e-9 and abs(snaps[1] - 0.07649536) < 1e-8
+    assert by_volume.gas_pressure(2.42) == pytest.approx(1.886612680245, abs=1e-9)
+    assert by_volume.gas_pressure([100.0])[0] == pytest.approx((1.886612680245 + 50) * 1602.42 / 1700 - 50, abs=1e-9)
+
+
+def test_a_glance_is_shown_and_drawn(membrane):
+    seen = dj.glance(dj.Scene(membrane, dj.Chamber(volume=1600.0, initial_volume=2.42)), dj.Surface.build(membrane))
+    assert "<td>snap</td>" in seen._repr_html_() and "<td>fold</td>" in seen._repr_html_()
+    assert repr(seen).startswith("Glance(voltage-volume, regime=stays, area_strain=16.1219")
+    figure = seen.plot()
+    assert len(figure.axes[0].lines) >= 2
+
+
+@pytest.mark.parametrize(
+    ("loading", "prestretch", "said"),
+    [
+        (dj.PrescribedVolume(3.0), 1.0, "`loading` must be a Chamber, a ConstantPressure or a ConstantVoltage"),
+        (dj.ConstantPressure(1.0), 2.0, "`surface` must be built for the membrane of the scene"),
+    ],
+)
+def test_a_glance_refuses(membrane, loading, prestretch, said):
+    film = dj.Membrane(prestretch=prestretch)
+    with pytest.raises(ValueError, match=said):
+        dj.glance(dj.Scene(film, loading), dj.Surface.build(membrane))
+
+
+def test_a_glance_at_no_state_says_so(membrane):
+    """p_0 = 30 is reached near lock-up only, beyond what the surface holds."""
+    scene = dj.Scene(membrane, dj.Chamber(volume=1600.0, initial_pressure=30.0))
+    with pytest.raises(dj.SceneError, match=r"equilibrium"):
+        dj.glance(scene, dj.Surface.build(membrane))
 
 
 def until_lost(pairs):
