@@ -8,26 +8,48 @@ the derivative by λa at fixed q. Between two designs a and b, the parameters a 
     a fold at breakdown       c = c′ = 0 at (λ1, q1), q1 = q_b(λ1)
     a landing at breakdown    c = c′ = 0 at (λ1, q1), c(λ2, q1) = 0, q1 = q_b(λ2)
     a snap-back at zero       c = c′ = 0 at (λ1, 0)
+    a landing leaves          c = c′ = 0 at (λ1, q1), c(λ2, q1) = 0, q1 = 0.9 q_max(λ2), the edge of the scanned window
+
+The last lies beyond the surface's domain: its state at λ2 is shot.
 """
 
 import numpy as np
 
-from .designs import Designs
+from .batch import ByLeaves
+from .coarse_chart import coarse_chart
+from .designs import Designs, designs_of
+from .far_states import FarStates
 from .regimes import SNAPPING, Regime
-from .scene import Scene
+from .scene import SCANNED_LOAD, Scene
+from .searches import loading_columns
 from .sheet_conditions import solve_on_sheet
 from .surface import Surface
 
-__all__ = ["FOLD_BREAKS", "LANDING_BREAKS", "MERGING", "REST", "START", "completed", "guesses", "kind_between", "meet"]
+__all__ = [
+    "FOLD_BREAKS",
+    "LANDING_BREAKS",
+    "LANDING_LEAVES",
+    "MERGING",
+    "REST",
+    "START",
+    "completed",
+    "guesses",
+    "has_event",
+    "kind_between",
+    "meet",
+    "with_landing",
+]
 
-START, MERGING, FOLD_BREAKS, LANDING_BREAKS, REST = (
+START, MERGING, FOLD_BREAKS, LANDING_BREAKS, REST, LANDING_LEAVES = (
     "start unstable",
     "two folds merge",
     "fold at breakdown",
     "landing at breakdown",
     "snap-back at zero voltage",
+    "landing leaves the window",
 )
 _LANES = 64
+_FAR_STEPS = 160.0, 320.0  # of the shots beyond the surface; their results differ by the coarser one's error
 
 
 def kind_between(one: Regime, other: Regime) -> str | None:
@@ -44,9 +66,23 @@ def kind_between(one: Regime, other: Regime) -> str | None:
         return FOLD_BREAKS
     if pair == {Regime.stays, Regime.returns}:
         return REST
-    if Regime.breaks_in_snap in pair and Regime.no_landing not in pair:
-        return LANDING_BREAKS
+    if Regime.breaks_in_snap in pair:
+        return LANDING_LEAVES if Regime.no_landing in pair else LANDING_BREAKS
     return None
+
+
+def has_event(kind: str, regime: np.ndarray) -> np.ndarray:
+    """Which designs show what a boundary of a kind is the end of."""
+    snaps = np.isin(regime, [int(r) for r in SNAPPING])
+    if kind == START:
+        return regime != Regime.start_unstable
+    if kind == REST:
+        return regime == Regime.returns
+    if kind in (MERGING, FOLD_BREAKS):
+        return snaps | (regime == Regime.breaks_before_snap)
+    if kind == LANDING_LEAVES:
+        return regime == Regime.breaks_in_snap
+    return snaps & ~np.isin(regime, [int(Regime.no_landing), int(Regime.breaks_in_snap)])
 
 
 def guesses(kind: str, designs: Designs, which: np.ndarray) -> np.ndarray:
@@ -57,6 +93,8 @@ def guesses(kind: str, designs: Designs, which: np.ndarray) -> np.ndarray:
     snap, load = (v[which, last] for v in (ramps.snap.apex_stretch, ramps.snap.voltage**2))
     if kind == START:
         return start[:, None]
+    if kind == LANDING_LEAVES:
+        return np.stack([start, snap, load], axis=1)
     if kind == LANDING_BREAKS:
         return np.stack([start, snap, load, ramps.landing.apex_stretch[which, last]], axis=1)
     if kind == REST:
@@ -67,6 +105,17 @@ def guesses(kind: str, designs: Designs, which: np.ndarray) -> np.ndarray:
     if kind == MERGING:
         return np.stack([start, (folds[:, 0] + folds[:, 1]) / 2, (at[:, 0] + at[:, 1]) / 2], axis=1)
     return np.stack([start, folds[:, 0], at[:, 0]], axis=1)
+
+
+def with_landing(surface: Surface, scene: Scene, names: tuple, values: np.ndarray, guess: np.ndarray) -> np.ndarray:
+    """Guesses (start, snap, load) of designs with λa and p of the landings, as a coarse chart of the window has them."""
+    chart = coarse_chart(ByLeaves.of(surface.membrane))
+    loading = designs_of(scene, dict(zip(names, values.T, strict=True))).loading
+    given = {name: np.broadcast_to(v, len(values)) for name, v in loading_columns(loading, surface).items()}
+    landings = [
+        chart.landing({name: float(v[i]) for name, v in given.items()}, guess[i, 1:]) for i in range(len(values))
+    ]
+    return np.concatenate([guess, np.reshape(landings, (-1, 2))], axis=1)
 
 
 def completed(guess: np.ndarray, places: np.ndarray) -> np.ndarray:
@@ -106,6 +155,11 @@ def _landing_breaks(on, u):
     return [*_fold(on, u), on.excess(2, u[3], u[2]), on.field(u[3], u[2])], []
 
 
+def _landing_leaves(on, u):
+    edge = u[2] / (SCANNED_LOAD * on.membrane.largest_load(u[3])) - 1
+    return [*_fold(on, u), on.excess(2, u[3], u[2]), edge], []
+
+
 #: the equations of each kind, and the points of the sheet they read
 _EQUATIONS = {
     START: (_start, ((0, -1),)),
@@ -113,6 +167,7 @@ _EQUATIONS = {
     MERGING: (_merging, ((0, -1), (1, 2))),
     FOLD_BREAKS: (_fold_breaks, ((0, -1), (1, 2))),
     LANDING_BREAKS: (_landing_breaks, ((0, -1), (1, 2), (3, 2))),
+    LANDING_LEAVES: (_landing_leaves, ((0, -1), (1, 2), (3, 2))),
 }
 
 
@@ -127,18 +182,26 @@ def meet(
     todo = np.flatnonzero(np.isfinite(guess).all(axis=1))
     if len(todo):
         equations, points = _EQUATIONS[kind]
-        halfway = np.append(guess[todo], np.full((len(todo), 1), 0.5), axis=1)
-        found = solve_on_sheet(
-            equations, points, surface, scene, names, halfway, begin[todo], end[todo], lanes=_LANES, last_move=1e-13
-        )
+        unknowns, off = guess[todo], 0.0
+        ends = begin[todo], end[todo]
+        halfway = np.full((len(todo), 1), 0.5)
+        if kind == LANDING_LEAVES:
+            first, unknowns = unknowns[:, 4], unknowns[:, :4]
+            for steps in _FAR_STEPS:
+                far = FarStates(surface.membrane, first, steps)
+                at = np.append(unknowns, halfway, axis=1)
+                found = solve_on_sheet(
+                    equations, points, surface, scene, names, at, *ends, lanes=_LANES, last_move=1e-9, far=far
+                )
+                unknowns, first = found.unknowns[:, :-1], far.pressure
+                off, halfway = np.abs(found.unknowns[:, -1:] - halfway), found.unknowns[:, -1:]
+            off = off[:, 0]
+        else:
+            at = np.append(unknowns, halfway, axis=1)
+            found = solve_on_sheet(equations, points, surface, scene, names, at, *ends, lanes=_LANES, last_move=1e-13)
         place = found.unknowns[:, -1]
         with np.errstate(invalid="ignore"):
             good = (found.size < 1e-8) & (np.abs(place - 0.5) <= 0.5 + 1e-6 + beyond[todo])
         share[todo] = np.where(good, place, np.nan)
-        error[todo] = found.size
+        error[todo] = found.size + off
     return share, np.where(np.isfinite(share), error, np.nan)
-
-
-def snaps(regime: np.ndarray) -> np.ndarray:
-    """Which regimes hold a snap."""
-    return np.isin(regime, [int(r) for r in SNAPPING])

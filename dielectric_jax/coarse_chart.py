@@ -46,18 +46,7 @@ class CoarseChart:
 
     def regime(self, given: dict, snap=None) -> Regime:
         """The regime of one loading by its contours on the grid, or only what follows a known `snap` (λa, q)."""
-        if "pressure" in given:
-            gas, start = (lambda v: given["pressure"] + 0 * v), self._start(self.pressure, given["pressure"])
-        else:
-            start = self._start(self.volume, given["initial_volume"])
-            if start is None:
-                return Regime.undetermined
-            outside, n = given["atmospheric_pressure"], given["polytropic_exponent"]
-            p0, room = start[1], given["initial_volume"] + given["chamber_volume"]
-
-            def gas(v):
-                return (p0 + outside) * (room / (v + given["chamber_volume"])) ** n - outside
-
+        start, gas = self._loading(given)
         if start is None:
             return Regime.undetermined
         excess = self.pressure - gas(self.volume)
@@ -87,6 +76,22 @@ class CoarseChart:
                 return Regime.undetermined
         return Regime.undetermined
 
+    def landing(self, given: dict, snap) -> tuple[float, float]:
+        """λa and p of the state on which a snap from (λa, q) lands, broken or not; NaN where there is none."""
+        start, gas = self._loading(given)
+        found = None if start is None else self._first_landing(gas, *snap)
+        return (np.nan, np.nan) if found is None else found
+
+    def _loading(self, given: dict):
+        """λa and pressure of the start, None where there is none, and the pressure of the gas at a volume."""
+        if "pressure" in given:
+            return self._start(self.pressure, given["pressure"]), lambda v: given["pressure"] + 0 * v
+        start = self._start(self.volume, given["initial_volume"])
+        p0 = np.nan if start is None else start[1]
+        outside, n = given["atmospheric_pressure"], given["polytropic_exponent"]
+        room = given["initial_volume"] + given["chamber_volume"]
+        return start, lambda v: (p0 + outside) * (room / (v + given["chamber_volume"])) ** n - outside
+
     def _start(self, field, wanted):
         """λa and pressure of the smallest state at zero voltage."""
         j = int(np.argmin(np.abs(self.fraction)))
@@ -99,7 +104,16 @@ class CoarseChart:
         return tuple(float(v[i - 1] + share * (v[i] - v[i - 1])) for v in (self.apex, self.pressure[:, j]))
 
     def _after_snap(self, gas, apex: float, q: float):
-        """What becomes of a snap from (λa, q): its regime, and the λa of an unbroken landing else None.
+        """What becomes of a snap from (λa, q): its regime, and the λa of an unbroken landing else None."""
+        found = self._first_landing(gas, apex, q)
+        if found is None:
+            return Regime.no_landing, None
+        if q >= np.interp(found[0], self.apex, self.breaks):
+            return Regime.breaks_in_snap, None
+        return Regime.undetermined, found[0]
+
+    def _first_landing(self, gas, apex: float, q: float) -> tuple[float, float] | None:
+        """λa and p where a snap from (λa, q) lands.
 
         At a given q the membrane grows while its pressure lacks behind the gas: it lands where that ends.
         """
@@ -117,13 +131,11 @@ class CoarseChart:
         with np.errstate(invalid="ignore"):
             lands = np.flatnonzero((value[:-1] < 0) & (value[1:] >= 0)) + 1
         if not len(lands):
-            return Regime.no_landing, None
+            return None
         i = lands[0]
         share = value[i - 1] / (value[i - 1] - value[i])
-        landing = line[i - 1] + share * (line[i] - line[i - 1])
-        if q >= np.interp(landing, self.apex, self.breaks):
-            return Regime.breaks_in_snap, None
-        return Regime.undetermined, landing
+        landing, reached = (f[i - 1] + share * (f[i] - f[i - 1]) for f in (line, pressure))
+        return float(landing), float(reached)
 
 
 @functools.lru_cache(maxsize=64)

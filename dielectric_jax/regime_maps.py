@@ -11,7 +11,7 @@ import jax
 import numpy as np
 import scipy.ndimage
 
-from .boundaries import FOLD_BREAKS, LANDING_BREAKS, MERGING, REST, completed, guesses, kind_between, meet, snaps
+from .boundaries import LANDING_LEAVES, completed, guesses, has_event, kind_between, meet, with_landing
 from .designs import MATERIAL_CONSTANTS, Designs, classify_designs, sheet_over, surface_for
 from .ensemble import Outcome, Ramps
 from .family import SurfaceFamily
@@ -171,29 +171,24 @@ def _edges(known: _Known, one: np.ndarray, other: np.ndarray):
     designs = known.designs()
     for kind in sorted(set(kinds[same_sheet]) - {""}):
         own = np.flatnonzero((kinds == kind) & same_sheet)
-        # begin from the side that has the event
-        has = snaps(known.regime) & ~np.isin(known.regime, [int(Regime.no_landing)])
-        if kind == REST:
-            has = known.regime == Regime.returns
-        elif kind in (MERGING, FOLD_BREAKS):
-            has = snaps(known.regime) | (known.regime == Regime.breaks_before_snap)
-        elif kind == LANDING_BREAKS:
-            has &= known.regime != Regime.breaks_in_snap
-        else:
-            has = known.regime != Regime.start_unstable
+        has = has_event(kind, known.regime)  # begin from there
         source = np.where(has[other[own]], other[own], one[own])
         guess = completed(guesses(kind, designs, source), known.values[source])
+        far = kind == LANDING_LEAVES  # met by shots, and told apart on a coarse chart
         # a side that the surface did not decide may be off by a little
         vague = designs.ramps.outcome == Outcome.unresolved
-        beyond = np.where(vague[one[own]] | vague[other[own]], _VAGUE, 0.0)
+        beyond = np.where(vague[one[own]] | vague[other[own]] | far, _VAGUE, 0.0)
         keys = [tuple(begin[k, varying]) for k in own]
         for key in dict.fromkeys(keys):
             group = np.array([i for i, k in enumerate(keys) if k == key])
             some = own[group]
             at = dict(zip(known.names, begin[some[0]], strict=True))
             surface = surface_for(known.scene.replace(**at).membrane, known.surface)
+            began = guess[group]
+            if far:
+                began = with_landing(surface, known.scene, known.names, known.values[source[group]], began)
             share[some], error[some] = meet(
-                kind, surface, known.scene, known.names, begin[some], end[some], guess[group], beyond[group]
+                kind, surface, known.scene, known.names, begin[some], end[some], began, beyond[group]
             )
     kinds[np.isnan(share)] = ""
     _bisect(known, one, other, share, error)

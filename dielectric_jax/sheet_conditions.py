@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .family import SurfaceFamily
+from .far_states import FarStates
 from .kept import kept_jit
 from .loading import Chamber, ConstantPressure
 from .materials import largest_load
@@ -169,6 +170,7 @@ def solve_on_sheet(
     *,
     lanes: int = 1,
     last_move: float = 1e-8,
+    far: FarStates | None = None,
 ) -> Solved:
     """Solves `equations(conditions, u) = rows, measures` for designs θ (n, parameters) by Newton's method.
 
@@ -185,7 +187,7 @@ def solve_on_sheet(
     value = jacobian = np.empty(0)
     unknowns = u.shape[1]
     for _ in range(_ITERATIONS):
-        value, jacobian = _evaluated(equations, points, sheet, scene, names, u, begin, end, lanes)
+        value, jacobian = _evaluated(equations, points, sheet, scene, names, u, begin, end, lanes, far)
         matrix = jacobian[:, :unknowns, :unknowns] * scale[:, None, :]
         move, good = _solved(matrix, -value[:, :unknowns, None])
         move = np.where(good[:, None], move[..., 0], np.nan)
@@ -195,7 +197,7 @@ def solve_on_sheet(
         u = u + move * scale
         if not np.any(size > last_move):
             break
-    value, jacobian = _evaluated(equations, points, sheet, scene, names, u, begin, end, lanes)
+    value, jacobian = _evaluated(equations, points, sheet, scene, names, u, begin, end, lanes, far)
     by_u, by_theta = jacobian[..., :unknowns], jacobian[..., unknowns:]
     rate, good = _solved(by_u[:, :unknowns] * scale[:, None, :], -by_theta[:, :unknowns])
     rates = rate * scale[:, :, None]
@@ -214,7 +216,7 @@ def _solved(matrix, right) -> tuple[np.ndarray, np.ndarray]:
     return np.linalg.solve(matrix, np.where(good[:, None, None], right, 0.0)), good
 
 
-def _evaluated(equations, points, sheet, scene, names, u, begin, end, lanes):
+def _evaluated(equations, points, sheet, scene, names, u, begin, end, lanes, far):
     theta = begin if end is None else begin + u[:, -1:] * (end - begin)
     apex = np.stack([u[:, a] for a, _ in points], axis=1)
     load = np.stack([u[:, q] if q >= 0 else np.zeros(len(u)) for _, q in points], axis=1)
@@ -227,7 +229,13 @@ def _evaluated(equations, points, sheet, scene, names, u, begin, end, lanes):
         )
         columns.append(np.broadcast_to(rim[:, None], apex.shape))
     places = np.stack(columns, axis=-1)
-    towers = _towers(sheet, places)
+    near = places if far is None else places[:, :-1]
+    towers = _towers(sheet, near)
+    if far is not None:
+        value, slopes = far.linear(places[:, -1, :2])
+        rest = [np.pad(slopes, ((0, 0), (0, 0), (0, places.shape[-1] - 2)))]
+        rest += [np.zeros((len(u), *t.shape[2:])) for t in towers[2:]]
+        towers = [np.concatenate([t, v[:, None]], axis=1) for t, v in zip(towers, [value, *rest], strict=True)]
     end = begin if end is None else end
     parts = []
     for i in range(0, len(u), lanes):

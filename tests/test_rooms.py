@@ -79,6 +79,7 @@ ROOMS = [
     "reading",
     "coarse_chart",
     "designs",
+    "far_states",
     "sheet_conditions",
     "boundaries",
     "grid_lines",
