@@ -182,7 +182,7 @@ def meet(
     todo = np.flatnonzero(np.isfinite(guess).all(axis=1))
     if len(todo):
         equations, points = _EQUATIONS[kind]
-        unknowns, off = guess[todo], 0.0
+        unknowns, off = guess[todo], np.zeros((len(todo), 1))
         ends = begin[todo], end[todo]
         halfway = np.full((len(todo), 1), 0.5)
         if kind == LANDING_LEAVES:
@@ -195,7 +195,6 @@ def meet(
                 )
                 unknowns, first = found.unknowns[:, :-1], far.pressure
                 off, halfway = np.abs(found.unknowns[:, -1:] - halfway), found.unknowns[:, -1:]
-            off = off[:, 0]
         else:
             at = np.append(unknowns, halfway, axis=1)
             found = solve_on_sheet(equations, points, surface, scene, names, at, *ends, lanes=_LANES, last_move=1e-13)
@@ -203,5 +202,5 @@ def meet(
         with np.errstate(invalid="ignore"):
             good = (found.size < 1e-8) & (np.abs(place - 0.5) <= 0.5 + 1e-6 + beyond[todo])
         share[todo] = np.where(good, place, np.nan)
-        error[todo] = found.size + off
+        error[todo] = found.size + off[:, 0]
     return share, np.where(np.isfinite(share), error, np.nan)

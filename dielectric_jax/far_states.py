@@ -7,7 +7,7 @@ from .programs import jacobian_program, run_chunks
 
 __all__ = ["FarStates"]
 
-_TRIES, _SETTLED = 12, 1e-12
+_TRIES, _SETTLED = 12, 1e-8  # Newton's last move of p as a share, squared in what is left
 
 
 class FarStates:

@@ -8,7 +8,7 @@ import numpy as np
 from .diagram import Diagram, voltage_volume
 from .ensemble import Outcome, Ramps
 from .records import SpecialPoint
-from .scene import Scene
+from .scene import SCANNED_LOAD, Scene
 from .surface import Surface
 
 __all__ = ["SNAPPING", "Regime", "regime_of", "regime_of_diagram", "regimes_of_ramps"]
@@ -56,6 +56,12 @@ def regime_of_diagram(diagram: Diagram) -> Regime:
         "no landing": Regime.no_landing,
         "breakdown in the snap": Regime.breaks_in_snap,
     }
+    if up["landing"]:
+        # branches are followed a little beyond the scanned window, as far as their errors allow
+        last = up["landing"][-1].state
+        limit = float(diagram.scene.membrane.largest_load(last.apex_stretch))
+        if last.voltage_squared > SCANNED_LOAD * limit:
+            return Regime.no_landing
     if reason in ends:
         return ends[reason]
     if not up["landing"]:

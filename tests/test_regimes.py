@@ -58,6 +58,18 @@ def test_edges_by_shooting(scene, edges):
     assert abs(dj.landing_point(at).breakdown_ratio - 1) < 1e-10
 
 
+def test_landings_leave_the_scanned_window(scene, surface):
+    """The boundary of no_landing: there, by continuation, the landing's load is 0.9 of the largest at its stretch."""
+    (edge,) = dj.regime_edges(scene, {"chamber_volume": (120.0, 200.0)}, points=20, surface=surface)
+    assert (edge.below, edge.above) == (Regime.no_landing, Regime.breaks_in_snap)
+    assert edge.kind == "landing leaves the window" and edge.error < 1e-9
+    landing = dj.voltage_volume(scene.replace(chamber_volume=edge.value)).ramp()["landing"][0].state
+    share = landing.voltage_squared / float(scene.membrane.largest_load(landing.apex_stretch))
+    assert abs(share - 0.9) < 1e-7
+    regimes = [dj.regime_of(scene.replace(chamber_volume=edge.value * f)) for f in (1 - 1e-4, 1 + 1e-4)]
+    assert regimes == [Regime.no_landing, Regime.breaks_in_snap]
+
+
 def test_both_sides_of_every_curve(small, scene, surface):
     """A hundredth of a cell beside each point, across a row of the grid, the two regimes are those of the curve."""
     step, seen = np.log(25000 / 300) / 59, 0
