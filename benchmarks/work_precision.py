@@ -55,6 +55,8 @@ def batch_records(path: pathlib.Path) -> list[dict]:
             engine += f", {r['parameters']['stepping']} steps"
         elif "unresolved" in r["parameters"]:
             engine += ", the rest certified"
+        elif r["parameters"].get("batched") is False:
+            engine += ", one by one"
         counts = r["counts"]
         wrong = counts["missing_folds"] + counts["false_folds"] + counts["wrong_lanes"]
         out.append(

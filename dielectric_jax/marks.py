@@ -35,6 +35,7 @@ _KINDS = np.repeat([FOLD, LEVEL, BREAKDOWN], [_FOLDS, _ZEROS, _BREAKS])
 _DIPS = 3
 _AMBIGUOUS = 1e-6  # two folds whose loads differ by less than this share are not told apart
 _OF_STRETCH = 0.2  # weight of the relative error of λa − λ0 at a fold beside that of its load
+_NEARLY_BROKEN = 0.9  # of q/q_b on the row after the last, by the two before
 _STILL = 1e-8  # of a slope, in the scale of q: what the surface's error may hide
 _MERGING = 2e-3  # a slope of q between rows below this share of the largest may hide two folds
 
@@ -211,14 +212,19 @@ class Marks(eqx.Module):
         between = pairs[:-1] & pairs[1:]
         turns = jnp.pad(between & (rising[:-1] != rising[1:]), 1)
         ratio = q / contour.rows.breakdown_load
-        masks = turns[:-1], pairs & ((q[:-1] < 0) != (q[1:] < 0)), pairs & ((ratio[:-1] < 1) != (ratio[1:] < 1))
+        # where it leaves the surface breakdown may lie between the last row and the next, to which its polynomial goes on
+        ahead = ratio[:-1] + jnp.pad(ratio[1:-1] - ratio[:-2], (1, 0))
+        leaving = (at[:-1] == contour.last) & (ratio[:-1] < 1) & (ahead > _NEARLY_BROKEN)
+        masks = turns[:-1], pairs & ((q[:-1] < 0) != (q[1:] < 0)), leaving | (pairs & ((ratio[:-1] < 1) != (ratio[1:] < 1)))
         counts = _FOLDS, _ZEROS, _BREAKS
         listed = [_places(mask, count) for mask, count in zip(masks, counts, strict=True)]
         begin = jnp.concatenate([rows for rows, _ in listed])
         present = jnp.concatenate([jnp.arange(c) < total for c, (_, total) in zip(counts, listed, strict=True)])
         every = _events(contour, begin, present, jnp.asarray(_KINDS), jnp.zeros(len(begin)))
         marks = [every.take(slice(a, b)) for a, b in ((0, _FOLDS), (_FOLDS, _FOLDS + _ZEROS), (-_BREAKS, None))]
-        folds = marks[0]
+        folds, breaks = marks[0], marks[2]
+        beyond = (breaks.place > contour.last) & ((breaks.place > contour.last + 1) | ~jnp.isfinite(breaks.error))
+        marks[2] = breaks.take((), ~beyond)
         unlisted = [
             jnp.where(total > count, jnp.max(jnp.where(e.seen(), e.place, 0.0)), jnp.inf)
             for e, count, (_, total) in zip(marks, counts, listed, strict=True)
