@@ -40,6 +40,7 @@ _TRACE_STEPS, _TOPS = (7.0, 24.0), ((0.7, 0.85), (0.82, 0.97))
 _LENGTHS = np.array([2e-5, 2.0, 1.0])
 _MOST_POINTS = 120
 _DENSE = 16, 200  # points on an interval of a line, closer than the cells of the scan
+_SCANNED = 16  # scenes whose residuals on the scan are looked at together, in the cache
 _EVERY = 3  # node of the scan is enough to see another branch
 
 
@@ -194,6 +195,21 @@ def contour_of(scene: Scene, pressure: float, volume: float) -> Contour:
     return scene.loading.contour()
 
 
+def _contours_of(scenes: list[Scene], pressure: np.ndarray, volume: np.ndarray) -> Contour:
+    """The same of many scenes, as columns."""
+    loadings = [s.loading for s in scenes]
+    kinds: dict = {}
+    for i, loading in enumerate(loadings):
+        kinds.setdefault(jax.tree.structure(loading), []).append(i)
+    parts = []
+    for own in kinds.values():
+        columns = columns_of([loadings[i] for i in own])
+        filling = (pressure[own], volume[own]) if isinstance(columns, Chamber) else ()
+        parts.append(jax.tree.map(lambda v, own=own: np.broadcast_to(v, len(own)), columns.contour(*filling)))
+    back = np.argsort(np.concatenate(list(kinds.values())))
+    return jax.tree.map(lambda *v: np.concatenate(v)[back], *parts)
+
+
 @dataclasses.dataclass
 class _March:
     """Traced lines under way: points and tangents in scaled unknowns, and why they ended."""
@@ -275,26 +291,26 @@ def _elsewhere(scenes: list[Scene], crowd: Crowd, lines: Polylines) -> np.ndarra
         q = t * chart.largest_load[rows, None]
         breaks = crowd.limits(apex, np.full(len(apex), own[0]))[0]
         below = (q[:-1, :-1] <= breaks[:-1, None]) & (t[:-1] >= 0)
-        own = np.array(own)
-        contour = jax.tree.map(lambda leaf: leaf[:, None, None], pick(crowd.contour, own))
-        with np.errstate(invalid="ignore"):
-            value = contour.residual(p, v, q)
-        known = np.isfinite(value)
-        sign = value < 0
-        corners = [(slice(None), slice(a, a - 1 or None), slice(b, b - 1 or None)) for a in (0, 1) for b in (0, 1)]
-        change = ~(sum(sign[c].astype(int) for c in corners) % 4 == 0) & np.all([known[c] for c in corners], axis=0)
-        away = change & below
-        for most in _DENSE:  # closer where cells are left, as rows of the scan crowd towards lock-up
-            which = np.flatnonzero(away.any(axis=(1, 2)))
-            dense = lines.take(own[which]).dense(most) * SCALE
-            there = np.isfinite(dense[..., 0])
-            line, x = which[np.nonzero(there)[0]], dense[there]
-            limit = np.interp(x[:, 0], chart.apex_stretch, chart.largest_load)
-            i = np.clip(np.searchsorted(apex, x[:, 0]) - 1, 0, len(apex) - 2)
-            j = np.clip(np.searchsorted(t, x[:, 2] / limit) - 1, 0, len(t) - 2)
-            for a, b in itertools.product((-1, 0, 1), repeat=2):
-                away[line, np.clip(i + a, 0, len(apex) - 2), np.clip(j + b, 0, len(t) - 2)] = False
-        found[own] = away.any(axis=(1, 2))
+        for some in np.split(np.array(own), range(_SCANNED, len(own), _SCANNED)):
+            contour = jax.tree.map(lambda leaf: leaf[:, None, None], pick(crowd.contour, some))
+            with np.errstate(invalid="ignore"):
+                value = contour.residual(p, v, q)
+            known = np.isfinite(value)
+            sign = value < 0
+            corners = [(slice(None), slice(a, a - 1 or None), slice(b, b - 1 or None)) for a in (0, 1) for b in (0, 1)]
+            change = ~(sum(sign[c].astype(int) for c in corners) % 4 == 0) & np.all([known[c] for c in corners], axis=0)
+            away = change & below
+            for most in _DENSE:  # closer where cells are left, as rows of the scan crowd towards lock-up
+                which = np.flatnonzero(away.any(axis=(1, 2)))
+                dense = lines.take(some[which]).dense(most) * SCALE
+                there = np.isfinite(dense[..., 0])
+                line, x = which[np.nonzero(there)[0]], dense[there]
+                limit = np.interp(x[:, 0], chart.apex_stretch, chart.largest_load)
+                i = np.clip(np.searchsorted(apex, x[:, 0]) - 1, 0, len(apex) - 2)
+                j = np.clip(np.searchsorted(t, x[:, 2] / limit) - 1, 0, len(t) - 2)
+                for a, b in itertools.product((-1, 0, 1), repeat=2):
+                    away[line, np.clip(i + a, 0, len(apex) - 2), np.clip(j + b, 0, len(t) - 2)] = False
+            found[some] = away.any(axis=(1, 2))
     return found
 
 
@@ -308,13 +324,10 @@ def _block(scenes: list[Scene], tolerance: float) -> Batch:
             windows[key] = scene.limits(), locking_stretch(scene.membrane)
     limits = [windows[id(s.membrane), s.window] for s in scenes]
     locks = np.array([lock for _, lock in limits])
-    nothing = columns_of([ConstantVoltage(0.0).contour()] * len(scenes))
+    nothing = jax.tree.map(lambda v: np.full(len(scenes), float(v)), ConstantVoltage(0.0).contour())
     start = starts(scenes, Crowd(membrane, nothing, locks), tolerance)
-    filled = (
-        [start.u[i, 1] if start.ok[i] else 1.0 for i in range(len(scenes))],
-        [start.volume[i] if start.ok[i] else 1.0 for i in range(len(scenes))],
-    )
-    contour = columns_of([contour_of(s, p, v) for s, p, v in zip(scenes, *filled, strict=True)])
+    filled = (np.where(start.ok, values, 1.0) for values in (start.u[:, 1], start.volume))
+    contour = _contours_of(scenes, *filled)
     crowd = Crowd(membrane, contour, locks)
     box = np.array([[*stretch, *load, lock] for (stretch, _, load), lock in limits])
     box[:, 0] += 1e-8 * (box[:, 1] - box[:, 0])

@@ -55,7 +55,10 @@ class Contour(eqx.Module):
         """p_gas(V), written so that nothing cancels for a huge chamber; elementwise."""
         xp = _namespace(volume, *jax.tree.leaves(self))
         volume = xp.clip(volume, -0.5 * self.chamber_volume, 1e12)  # a trial far off stays finite
-        growth = xp.log1p((self.initial_volume - volume) / (volume + self.chamber_volume))
+        share = (self.initial_volume - volume) / (volume + self.chamber_volume)
+        if xp is np and np.all(self.exponent == 1):
+            return self.initial_pressure + (self.initial_pressure + self.atmospheric_pressure) * share
+        growth = xp.log1p(share)
         return self.initial_pressure + (self.initial_pressure + self.atmospheric_pressure) * xp.expm1(
             self.exponent * growth
         )

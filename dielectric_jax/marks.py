@@ -215,7 +215,11 @@ class Marks(eqx.Module):
         # where it leaves the surface breakdown may lie between the last row and the next, to which its polynomial goes on
         ahead = ratio[:-1] + jnp.pad(ratio[1:-1] - ratio[:-2], (1, 0))
         leaving = (at[:-1] == contour.last) & (ratio[:-1] < 1) & (ahead > _NEARLY_BROKEN)
-        masks = turns[:-1], pairs & ((q[:-1] < 0) != (q[1:] < 0)), leaving | (pairs & ((ratio[:-1] < 1) != (ratio[1:] < 1)))
+        masks = (
+            turns[:-1],
+            pairs & ((q[:-1] < 0) != (q[1:] < 0)),
+            leaving | (pairs & ((ratio[:-1] < 1) != (ratio[1:] < 1))),
+        )
         counts = _FOLDS, _ZEROS, _BREAKS
         listed = [_places(mask, count) for mask, count in zip(masks, counts, strict=True)]
         begin = jnp.concatenate([rows for rows, _ in listed])
