@@ -205,16 +205,18 @@ class Marks(eqx.Module):
     hidden: Bool[Array, ""]
 
     @classmethod
-    def of(cls, contour: ContourOnRows) -> "Marks":
+    def of(cls, contour: ContourOnRows, above: typing.Any = False) -> "Marks":
+        """Those of a contour; `above` tells that it lies above the row after its last, at a load that the surface lacks."""
         q, at = contour.load, jnp.arange(ROWS)
         pairs = (at[:-1] >= contour.first) & (at[1:] <= contour.last)
         rising = q[1:] > q[:-1]
         between = pairs[:-1] & pairs[1:]
         turns = jnp.pad(between & (rising[:-1] != rising[1:]), 1)
         ratio = q / contour.rows.breakdown_load
-        # where it leaves the surface breakdown may lie between the last row and the next, to which its polynomial goes on
+        # where it does breakdown lies between the two rows if the surface holds it there: the polynomial goes on to it
         ahead = ratio[:-1] + jnp.pad(ratio[1:-1] - ratio[:-2], (1, 0))
-        leaving = (at[:-1] == contour.last) & (ratio[:-1] < 1) & (ahead > _NEARLY_BROKEN)
+        held = contour.rows.top * contour.rows.largest_load > contour.rows.breakdown_load
+        leaving = above & (at[:-1] == contour.last) & held[1:] & held[:-1] & (ratio[:-1] < 1) & (ahead > _NEARLY_BROKEN)
         masks = (
             turns[:-1],
             pairs & ((q[:-1] < 0) != (q[1:] < 0)),

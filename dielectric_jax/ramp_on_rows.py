@@ -47,7 +47,8 @@ def _ramp(rows: Rows, condition: Conditions, start: Events, q, v, found, again, 
     """The ramp and special points of one loading from its q and V on the rows."""
     at = jnp.arange(ROWS)
     begin, first, last = _span(start, found & ~again)
-    marks = Marks.of(ContourOnRows(rows, q, v, first, last))
+    after = jnp.minimum(last + 1, ROWS - 1)
+    marks = Marks.of(ContourOnRows(rows, q, v, first, last), ~found[after] & ~again[after] & above[after])
     folds, peak = marks.folds, marks.peak
 
     def breakdown_load(event):
@@ -138,6 +139,7 @@ def _ramp(rows: Rows, condition: Conditions, start: Events, q, v, found, again, 
         apex = rows.apex_at(jnp.where(there, events.place, 1.0))
         row = jnp.where(there, events.place, 0.0).astype(int)
         error = events.error + rows.surface.error_bound(apex, events.load) + rows.error[row] + _ULP * ROWS
+        error = jnp.where(jnp.isnan(error), jnp.inf, error)
         values = jnp.stack([apex, condition.pressure(events.volume), events.volume, events.load])
         values = jnp.where(there & (error < _MOST_ERROR), values, jnp.nan)
         return jnp.concatenate([values, jnp.where(there, error, jnp.nan)[None]])

@@ -1,5 +1,8 @@
 """Ramps of many chambers on the surface: known numbers, and the continuation of the same scenes."""
 
+import csv
+import pathlib
+
 import numpy as np
 import pytest
 
@@ -31,6 +34,29 @@ def test_reference_numbers(surface):
     assert list(np.isfinite(ramps.snap_back.voltage[:, 0])) == [False, True, False, False]
     stays = np.abs(ramps.rest.apex_stretch / ramps.start.apex_stretch - 1) > 1e-9
     assert list(stays) == [False, False, True, True]
+
+
+def test_breakdown_between_the_last_rows_of_a_stiff_branch(surface):
+    """Near lock-up the load rises from below breakdown to beyond the surface from one row to the next.
+
+    The breakdown voltages are those of `benchmarks/data/chambers.csv`, in extended precision.
+    """
+    path = pathlib.Path(__file__).parent.parent / "benchmarks" / "data" / "chambers.csv"
+    with path.open(encoding="utf-8") as file:
+        rows = [r for r in csv.DictReader(file) if r["kind"] == "breakdown" and float(r["chamber_volume"]) > 9000]
+    ramps = chamber_ramps(surface, [float(r["chamber_volume"]) for r in rows], 2.42)
+    assert len(rows) == 59 and (ramps.outcome == Outcome.breakdown_on_branch).all() and (ramps.error < 1e-8).all()
+    known = np.sqrt([float(r["voltage_squared"]) for r in rows])
+    assert np.max(np.abs(ramps.breakdown.voltage - known)) < 1e-10
+
+
+def test_a_snap_between_the_last_row_and_breakdown_is_not_passed_over():
+    """V_C = 19.947 at λ0 = 2.283, J = 60.54: a fold at E/E_EB = 0.9934, beyond the surface; continuation finds no landing."""
+    film = dj.Membrane(dj.Gent(60.54045108005528), prestretch=2.282916441756461)
+    scene = dj.Scene(film, dj.Chamber(volume=19.947003252761082, initial_volume=4.517466025936198))
+    assert dj.voltage_volume(scene).area_strain_reason == "no landing"
+    ramps = chamber_ramps(dj.Surface.build(film), scene.loading.volume, scene.loading.initial_volume)
+    assert ramps.outcome in (Outcome.unresolved, Outcome.no_unbroken_landing)
 
 
 def test_known_edges_of_regimes(surface):
