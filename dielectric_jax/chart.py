@@ -251,6 +251,14 @@ def _columns(places, fields, valid, fine) -> np.ndarray:
     return out
 
 
+def _along_loads(values, matrix) -> np.ndarray:
+    """Rows of nodes (2, rows, nodes) through the matrix of their panels; a lost node is lost to its own panel alone."""
+    lost = ~np.isfinite(values).all(axis=0)
+    out = np.where(lost, 0.0, values) @ matrix.T
+    out[:, lost @ (matrix != 0).T] = np.nan
+    return out
+
+
 def _through(even, values):
     """Cubic splines through columns (2, places, columns) at even places, as a function of places; NaN beside a NaN."""
     lost = ~np.isfinite(values).all(axis=0)
@@ -317,7 +325,7 @@ def scan(membrane: Membrane, stretches, loads, refinement: int = _REFINEMENT) ->
         places = np.linspace(0.0, 1.0, _NODES[0])
         apex, t = np.meshgrid(stretch_of(stretch_shares(first, _NODES[0])), x, indexing="ij")
         values = _columns(np.broadcast_to(places[:, None], apex.shape), *_mapped(membrane, apex, t), fine)
-        parts.append(values @ matrix.T)
+        parts.append(_along_loads(values, matrix))
         fine_t.append(own_t)
     if cliff is not None:
         x, own_t, matrix = _panel_matrix(panels[-2:], counts[-1:], refinement)

@@ -27,6 +27,7 @@ __all__ = ["chamber_cusps", "onset", "pressure_cusp", "pressure_extremes", "sett
 _NODES, _STEPS = 200, 96.0
 _MOST_LOAD = 0.95  # of t: further on folds crowd towards the cone
 _FINE = 12  # points between two nodes
+_RIMS = 0.125  # between the prestretches on which the cusp of the pressure is sought
 _GRIDS = (48.0, 96.0)
 _SAFETY, _LEAST = 16.0, 1e-13
 
@@ -206,7 +207,7 @@ def pressure_cusp(membrane: Membrane, q: float, within: tuple[float, float]) -> 
         i = least[np.argmin(slope[inner][1:-1][least])] + 1 + 2 * _FINE
         return slope[i], (float(apex[i]), float(p[i]))
 
-    rims = np.linspace(low, high, 25)
+    rims = np.linspace(low, high, int(np.clip(np.ceil((high - low) / _RIMS) + 1, 5, 25)))
     values = np.array([gap(float(r))[0] for r in rims])
     change = np.flatnonzero(
         np.isfinite(values[:-1]) & np.isfinite(values[1:]) & ((values[:-1] < 0) != (values[1:] < 0))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import dielectric_jax as dj
+from dielectric_jax.chart import scan
 from dielectric_jax.cli import main
 from dielectric_jax.materials import capacitance, largest_load
 
@@ -155,3 +156,18 @@ def test_names_and_options(capsys):
     ]:
         assert main(["equilibrium", "--volume", "1", *argv]) == 2
         assert sentence in capsys.readouterr().err
+
+
+def test_loads_without_states_take_nothing_from_the_scan_below():
+    """At high loads some states of Ogden's rubber are not in tension; those at low ones agree with the explicit map."""
+    film = dj.Membrane(dj.Ogden())
+    stretches, _, loads = dj.Scene(film, dj.ConstantVoltage(0.0)).limits()
+    chart = scan(film, stretches, loads)
+    assert not np.isfinite(chart.pressure).all()
+    low = chart.load_fraction < 0.4
+    assert np.isfinite(chart.pressure[:, low]).all()
+    column = int(np.argmin(np.abs(chart.load_fraction)))
+    rows = np.flatnonzero((chart.apex_stretch > 1.6) & (chart.apex_stretch < 3.2))
+    load = chart.load_fraction[column] * chart.largest_load[rows]
+    known, _, _ = dj.explicit_map(film.material, chart.apex_stretch[rows], load, 1.0, 96.0)
+    assert np.max(np.abs(chart.pressure[rows, column] / known - 1)) < 1e-4
