@@ -76,7 +76,7 @@ def test_our_engines_are_right_beside_a_peer_or_alone(tmp_path):
     record, said = quick("peers.py", tmp_path)
     ours = [r for r in record["records"] if not r["engine"].startswith("AUTO")]
     names = [r["engine"] for r in ours]
-    assert names == ["continuation", "surface, certified", "surface alone", "ramp, one of 12"], said
+    assert names == ["continuation", "surface, certified", "surface alone", "glance", "ramp, one of 12"], said
     for r in ours:
         assert r["fold_error"] < 1e-9 and r["breakdown_error"] < 1e-9
         assert r["seconds"] > 0
@@ -158,6 +158,14 @@ def test_a_batch_of_chambers_is_right_by_every_engine(tmp_path):
         assert 0 < r["seconds_per_diagram"] < 60
 
 
+def test_the_time_of_a_lane_is_taken_apart(tmp_path):
+    record, said = quick("lane_profile.py", tmp_path)
+    assert record["error"] < 1e-8 and "PASSED" in said
+    assert [r["phase"] for r in record["records"]] == ["march", "events", "loads", "host"]
+    assert sum(r["share"] for r in record["records"]) == pytest.approx(1)
+    assert all(r["calls"] > 0 for r in record["records"][:3])
+
+
 def test_work_precision_diagrams_are_drawn(tmp_path):
     record, said = quick("work_precision.py", tmp_path, "--output", tmp_path)
     assert set(record["records"]) == {"shot", "map", "pressure_volume"}, said
@@ -174,7 +182,6 @@ def test_the_cost_of_a_scene_is_told_beside_its_error(tmp_path):
     record, said = quick("cost_of_a_scene.py", tmp_path)
     tables = {r["name"] for r in record["records"]}
     assert tables == {f"cost_of_a_scene: {t}" for t in ("integration", "equilibrium", "diagram")}, said
-    assert record["charge"] == "not available"
     assert all(r["ratio"] > 0 and (r["error"] is None or r["error"] < 1e-9) for r in record["records"])
 
 
