@@ -38,6 +38,7 @@ _CHUNK = 256
 _FEW = 8  # loadings that are answered together where a single one is asked for at once
 _POLISHED = 1e-9  # from this error on the events of a ramp are met on the surface itself
 _LARGEST_ERROR = 1e-8  # of a ramp that is told, in the end
+_FLAT = 1e-8  # of a pressure: nearer to its maximum no start is told
 _SOME = 8  # ramps that are polished together
 
 
@@ -102,7 +103,12 @@ class Curves(typing.NamedTuple):
 def _start(rows: Rows, values, others, target, order: int):
     """Where the state at zero voltage first reaches a volume (or with `order` −1 a pressure), from values on the rows."""
     reached, any_ = first_place(values >= target)
-    present = any_ & (reached > 0)
+    # a maximum between two rows may reach it before
+    before, here, after = values[:-2], values[1:-1], values[2:]
+    bend = before - 2 * here + after
+    over = jnp.where(bend < 0, (after - before) ** 2 / (-8 * bend), 0.0)
+    near = (here >= before) & (here >= after) & (here + 1.5 * over + _FLAT * jnp.abs(here) >= target)
+    present = any_ & (reached > 0) & ~jnp.any(near & (jnp.arange(1, ROWS - 1) < reached))
     whole = ContourOnRows(rows, values, others, jnp.asarray(0), jnp.asarray(ROWS - 1))
     place, _, other, _ = whole.meet(jnp.maximum(reached - 1, 0), LEVEL, target)
 

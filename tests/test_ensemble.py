@@ -134,6 +134,18 @@ def test_constant_pressure(surface):
     assert (ramps.outcome != Outcome.unresolved).any()
 
 
+def test_a_start_just_below_the_peak_of_the_pressure_is_not_passed_over(surface):
+    """The peak of 1.908684829414 lies at V = 2.9634 between two rows; beyond it the only state is at V = 224.6."""
+    shares = np.array([-1e-3, -1e-4, -1e-5, -1e-6, -1e-8, -1e-10])
+    fillings = dj.filling_volumes(surface, 1.908684829414 * (1 + shares))
+    ramps = pressure_ramps(surface, 1.908684829414 * (1 + shares))
+    told = np.isfinite(fillings)
+    assert told[:2].all() and (fillings[told] < 2.9634).all()
+    assert (ramps.outcome[~told] == Outcome.unresolved).all()
+    assert np.allclose(ramps.start.volume[told], fillings[told], rtol=1e-9)
+    assert abs(dj.filling_volumes(surface, 1.908684829414 * (1 + 1e-4)) - 224.6) < 0.1
+
+
 def test_curves_are_states(surface):
     """Points of the curves against the explicit map, and against the chamber's law."""
     curves = chamber_curves(surface, [300.0, 1600.0], [2.0, 2.42])
