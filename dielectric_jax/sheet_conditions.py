@@ -176,7 +176,8 @@ def solve_on_sheet(
 
     `points` says where they read the sheet: pairs (unknown that is λa, unknown that is q or −1 for q = 0). With `end` the
     last unknown s is the place between two designs, θ = begin + s (end − begin). Whole blocks of `lanes` designs share one
-    compiled program. Newton ends with moves below `last_move`, what is left being their square. NaN where it leaves the sheet.
+    compiled program. `far` reads the last of the points where it is given, to first order: equations may take its state,
+    no slopes. Newton ends with moves below `last_move`, what is left being their square. NaN where it leaves the sheet.
     """
     segment = end is not None
     u, count = np.array(guess, float), len(guess)
