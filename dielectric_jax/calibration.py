@@ -69,19 +69,21 @@ class Calibration:
             _, axes = plt.subplots(2, 1, figsize=(5.5, 5.5), sharex=True, height_ratios=(3, 1), layout="constrained")
         upper, lower = axes
         scale = (lambda name: 1.0) if self.units is None else (lambda name: {"volume": 1e-6, "pressure": 100.0}[name])
-        units = {"volume": "A³", "pressure": "μH/A"} if self.units is None else {"volume": "ml", "pressure": "mbar"}
         order = np.argsort(self.volume)
         volume = self.volume[order] / scale("volume")
         upper.plot(volume, self.pressure[order] / scale("pressure"), "o", color="#0072B2", label="measured")
         text = [f"{n.replace('_', ' ')} {v:.4g}" for n, v in self.parameters.items()]
+        if self.units is not None and "shear_modulus" in self.parameters:
+            place = list(self.parameters).index("shear_modulus")
+            text[place] = f"shear modulus {self.parameters['shear_modulus'] / 1e3:.4g} kPa"
         upper.plot(volume, self.fit[order] / scale("pressure"), "-", color="#D55E00", label="fit: " + ", ".join(text))
-        upper.set_ylabel(f"Pressure p [{units['pressure']}]")
+        upper.set_ylabel("Pressure p A / (μH)" if self.units is None else "Pressure p / mbar")
         upper.legend()
         lower.axhspan(-2, 2, color="0.9")
         lower.axhline(0.0, color="0.5", linewidth=0.8)
         lower.plot(volume, self.residuals[order] / max(self.noise, 1e-300), "o", color="#0072B2")
         lower.set_ylabel("Residual / noise")
-        lower.set_xlabel(f"Volume V [{units['volume']}]")
+        lower.set_xlabel("Volume V / A³" if self.units is None else "Volume V / ml")
         return upper.figure
 
     def to_json(self) -> dict:

@@ -90,7 +90,7 @@ def plot_material(
         constants = () if units is None else (1.0, units.shear_modulus, units.relative_permittivity)
         breakdown = VHBBreakdown(*constants)
     end = 0.95 * material.lock_up_stretch(1.0)[0] if largest_stretch is None else largest_stretch
-    stretch = np.linspace(1.0, end, 500)[1:]
+    stretch = 1 + (end - 1) * np.linspace(0.0, 1.0, 500)[1:] ** 2  # closer where balloon and film begin
     figure = new_figure(11.0, 8.4) if figure is None else figure
     panels: Any = figure.subplots(2, 2)
     stress, volt = (1.0, 1.0) if units is None else (units.read(1.0, "stress"), units.read(1.0, "voltage"))

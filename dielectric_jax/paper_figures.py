@@ -42,13 +42,13 @@ def _states(axes: Sequence[Axes], diagram: Any) -> None:
     """The paper's letters at the states of a ramp: A start, B snap, C landing, D zero voltage on the way back."""
     events = {(e.direction, e.event): e.state for e in diagram.events}
     places = {"A": ("up", "start"), "B": ("up", "snap"), "C": ("up", "landing"), "D": ("down", "end")}
+    below = "Apressure", "Cvoltage"  # A and B lie close together on the line of the air; C beside marks of the curve
     style: dict[str, Any] = {"fontweight": "bold", "textcoords": "offset points", "zorder": 7}
     for ax, name in zip(axes, ("pressure", "voltage"), strict=True):
         for letter, place in places.items():
             if place in events:
                 at = (events[place].volume, getattr(events[place], name))
-                # A and B lie close together on the line of the air
-                ax.annotate(letter, at, xytext=(8, -14) if letter + name == "Apressure" else (6, 7), **style)
+                ax.annotate(letter, at, xytext=(8, -14) if letter + name in below else (6, 7), **style)
 
 
 def _rows(paper: Any, scenes: Sequence[tuple[str, Any, float]], voltages: Sequence[float]) -> Figure:
