@@ -29,7 +29,7 @@ jax.config.update("jax_enable_x64", True)
 dj.enable_compilation_cache()
 
 STAGES = 13  # right-hand sides of a step of Dopri8
-LANES = 128
+LANES = 256
 
 
 class Meter:
@@ -63,9 +63,9 @@ def march_sides(membrane, contour, limits, walk, peak, steps, *rest):
     return len(peak), lanes._PASSES * steps * STAGES
 
 
-def meet_sides(membrane, contour, u, tangents, slopes, rows, targets, kinds, rounds, coarse, fine):
-    # without derivatives the residual costs about a third
-    return u.shape[1], (rounds * coarse + fine / 3) * STAGES
+def meet_sides(membrane, contour, u, tangents, slopes, rows, targets, kinds, rounds, grid):
+    # without derivatives the residual costs two fifths
+    return u.shape[1], (rounds * grid[0] + grid[1] / 2.6) * STAGES
 
 
 def right_hand_side() -> float:

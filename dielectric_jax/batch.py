@@ -8,7 +8,6 @@ room for the next, and one that fails says why.
 import concurrent.futures
 import dataclasses
 import functools
-import itertools
 import typing
 from collections.abc import Sequence
 
@@ -17,7 +16,6 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from .assembly import assemble, tell_ramps
-from .branches import cached_scan
 from .chart import map_nodes, stretch_shares
 from .crowd import LANES, Crowd, Met, calls, padded, pick
 from .ensemble import Ramps, ramps_of
@@ -25,6 +23,7 @@ from .equilibria import SCALE, locking_stretch
 from .lanes import LEVEL, VOLUME, march_program, new_walks
 from .loading import Chamber, ConstantPressure, ConstantVoltage, Contour
 from .membrane import Membrane
+from .other_branches import have_others
 from .polylines import Polylines
 from .programs import cores
 from .results import Code
@@ -39,9 +38,6 @@ _LINE = 40  # stretches of the line of states at zero voltage
 _TRACE_STEPS, _TOPS = (7.0, 24.0), ((0.7, 0.85), (0.82, 0.97))
 _LENGTHS = np.array([2e-5, 2.0, 1.0])
 _MOST_POINTS = 120
-_DENSE = 16, 200  # points on an interval of a line, closer than the cells of the scan
-_SCANNED = 16  # scenes whose residuals on the scan are looked at together, in the cache
-_EVERY = 3  # node of the scan is enough to see another branch
 
 
 class Batch(typing.NamedTuple):
@@ -77,12 +73,12 @@ def continue_scenes(scenes: Sequence[Scene], *, tolerance: float = 1e-8) -> Batc
             raise ValueError(f"`scenes` must be scenes with a Chamber or a ConstantPressure, but one is {scene!r}.")
     if not scenes:
         raise ValueError("`scenes` must hold at least one scene, but is empty.")
-    for membrane in {ByLeaves.of(s.membrane) for s in scenes}:
-        membrane.membrane.check_breaks_at_apex()
     groups: dict = {}
-    for i, scene in enumerate(scenes):
-        groups.setdefault(jax.tree.structure(scene.membrane), []).append(i)
-    share = min(_BLOCK, max(LANES, -(-len(scenes) // 2)))
+    for key, own in by_membrane(scenes).items():
+        key.membrane.check_breaks_at_apex()
+        groups.setdefault(jax.tree.structure(key.membrane), []).append(own)
+    groups = {tree: np.sort(np.concatenate(parts)) for tree, parts in groups.items()}
+    share = min(_BLOCK, max(LANES, -(-len(scenes) // cores())))
     blocks = [own[i : i + share] for own in groups.values() for i in range(0, len(own), share)]
     with concurrent.futures.ThreadPoolExecutor(cores()) as pool:  # blocks wait for the threads of the map
         done = list(pool.map(lambda own: _block([scenes[i] for i in own], tolerance), blocks))
@@ -109,10 +105,24 @@ class ByLeaves:
         return ByLeaves(membrane, (tree, *(np.asarray(v).item() for v in leaves)))
 
 
+def by_membrane(scenes: Sequence[Scene]) -> dict[ByLeaves, np.ndarray]:
+    """Which scenes have one membrane: their indices by its key."""
+    same: dict = {}
+    for i, scene in enumerate(scenes):
+        same.setdefault(id(scene.membrane), []).append(i)
+    groups: dict = {}
+    for own in same.values():  # few membranes are looked into where scenes share them
+        groups.setdefault(ByLeaves.of(scenes[own[0]].membrane), []).extend(own)
+    return {key: np.sort(own) for key, own in groups.items()}
+
+
 def columns_of(modules) -> typing.Any:
     """One module whose leaves are columns of those of many alike."""
-    leaves, tree = zip(*map(jax.tree.flatten, modules), strict=True)
-    return jax.tree.unflatten(tree[0], [np.array(column, float) for column in zip(*leaves, strict=True)])
+    distinct = {id(module): module for module in modules}
+    place = {key: i for i, key in enumerate(distinct)}
+    which = np.array([place[id(module)] for module in modules])
+    leaves, tree = zip(*map(jax.tree.flatten, distinct.values()), strict=True)
+    return jax.tree.unflatten(tree[0], [np.array(column, float)[which] for column in zip(*leaves, strict=True)])
 
 
 @functools.lru_cache(maxsize=64)
@@ -146,9 +156,8 @@ def starts(scenes: list[Scene], crowd: Crowd, tolerance: float) -> Met:
     u, rows = np.full((lanes, 3), np.nan), np.zeros((lanes, 3))
     rows[:, 1] = 1.0
     targets, kinds = np.ones(lanes), np.full(lanes, LEVEL)
-    by_membrane: dict = {}
+    groups = by_membrane(scenes)
     for i, scene in enumerate(scenes):
-        by_membrane.setdefault(ByLeaves.of(scene.membrane), []).append(i)
         loading = scene.loading
         if isinstance(loading, ConstantPressure):
             targets[i] = float(loading.pressure)
@@ -159,8 +168,8 @@ def starts(scenes: list[Scene], crowd: Crowd, tolerance: float) -> Met:
         else:
             targets[i] = float(typing.cast(float, loading.initial_pressure))
     with np.errstate(all="ignore"):
-        for key, own in by_membrane.items():
-            own, line = np.array(own), _zero_line(key)
+        for key, own in groups.items():
+            line = _zero_line(key)
             for row, kind in ((2, VOLUME), (1, LEVEL)):
                 which = own[kinds[own] == kind]
                 place = _first_place(line, row, targets[which])
@@ -173,8 +182,8 @@ def starts(scenes: list[Scene], crowd: Crowd, tolerance: float) -> Met:
     flat = Crowd(crowd.membrane, jax.tree.map(lambda v: np.full(lanes, float(v)), held), crowd.locks_from)
     met = Met.nothing(lanes)
     same: dict = {}  # scenes that begin in one state share it
-    for key, own in by_membrane.items():
-        for i in own:
+    for key, own in groups.items():
+        for i in own.tolist():
             if np.isfinite(u[i]).all():
                 same.setdefault((key, kinds[i], targets[i]), []).append(i)
     if same:
@@ -270,59 +279,15 @@ class _March:
         self.code[now] = walk.code[now]
 
 
-def _elsewhere(scenes: list[Scene], crowd: Crowd, lines: Polylines) -> np.ndarray:
-    """Which scenes have a contour below breakdown that their line does not run along: another branch.
-
-    Seen on the scan of the membrane: cells of its grid in which the loading's residual changes sign, and in whose
-    neighbourhood the line has no point.
-    """
-    found = np.zeros(len(scenes), bool)
-    groups: dict = {}
-    for i, scene in enumerate(scenes):
-        groups.setdefault(ByLeaves.of(scene.membrane), []).append(i)
-    for key, own in groups.items():
-        membrane = key.membrane
-        stretches, _, loads = Scene(membrane, ConstantVoltage(0.0)).limits()
-        chart = cached_scan(membrane, stretches, loads)
-        columns = np.flatnonzero(chart.load_fraction >= -0.02)[::_EVERY]
-        rows = np.arange(0, len(chart.apex_stretch), _EVERY)
-        apex, t = chart.apex_stretch[rows], chart.load_fraction[columns]
-        p, v = (field[np.ix_(rows, columns)] for field in (chart.pressure, chart.volume))
-        q = t * chart.largest_load[rows, None]
-        breaks = crowd.limits(apex, np.full(len(apex), own[0]))[0]
-        below = (q[:-1, :-1] <= breaks[:-1, None]) & (t[:-1] >= 0)
-        for some in np.split(np.array(own), range(_SCANNED, len(own), _SCANNED)):
-            contour = jax.tree.map(lambda leaf: leaf[:, None, None], pick(crowd.contour, some))
-            with np.errstate(invalid="ignore"):
-                value = contour.residual(p, v, q)
-            known = np.isfinite(value)
-            sign = value < 0
-            corners = [(slice(None), slice(a, a - 1 or None), slice(b, b - 1 or None)) for a in (0, 1) for b in (0, 1)]
-            change = ~(sum(sign[c].astype(int) for c in corners) % 4 == 0) & np.all([known[c] for c in corners], axis=0)
-            away = change & below
-            for most in _DENSE:  # closer where cells are left, as rows of the scan crowd towards lock-up
-                which = np.flatnonzero(away.any(axis=(1, 2)))
-                dense = lines.take(some[which]).dense(most) * SCALE
-                there = np.isfinite(dense[..., 0])
-                line, x = which[np.nonzero(there)[0]], dense[there]
-                limit = np.interp(x[:, 0], chart.apex_stretch, chart.largest_load)
-                i = np.clip(np.searchsorted(apex, x[:, 0]) - 1, 0, len(apex) - 2)
-                j = np.clip(np.searchsorted(t, x[:, 2] / limit) - 1, 0, len(t) - 2)
-                for a, b in itertools.product((-1, 0, 1), repeat=2):
-                    away[line, np.clip(i + a, 0, len(apex) - 2), np.clip(j + b, 0, len(t) - 2)] = False
-            found[some] = away.any(axis=(1, 2))
-    return found
-
-
 def _block(scenes: list[Scene], tolerance: float) -> Batch:
     """`continue_scenes` of scenes with membranes of one kind."""
     membrane = columns_of([s.membrane for s in scenes])
-    windows = {}
+    windows, limits = {}, []
     for scene in scenes:
-        key = id(scene.membrane), scene.window
+        key = id(scene.membrane), scene.window.apex_stretch, scene.window.load_fraction
         if key not in windows:
             windows[key] = scene.limits(), locking_stretch(scene.membrane)
-    limits = [windows[id(s.membrane), s.window] for s in scenes]
+        limits.append(windows[key])
     locks = np.array([lock for _, lock in limits])
     nothing = jax.tree.map(lambda v: np.full(len(scenes), float(v)), ConstantVoltage(0.0).contour())
     start = starts(scenes, Crowd(membrane, nothing, locks), tolerance)
@@ -345,7 +310,9 @@ def _block(scenes: list[Scene], tolerance: float) -> Batch:
     )
     march.code[cone] = int(Code.apex_cone)
     ended = np.isin(march.code, (int(Code.breakdown), int(Code.apex_cone)))
-    alone = ~_elsewhere(scenes, crowd, lines)
+    alone = np.ones(len(scenes), bool)
+    for key, own in by_membrane(scenes).items():
+        alone[own] = ~have_others(key.membrane, own, crowd, lines)
     known = ended & ~found.doubt, alone, cone
     at_crossings = crowd.limits(found.crossings.met.u[:, 0], march.owner[found.crossings.line])[0]
     columns = tell_ramps(found, start, at_crossings, *known)

@@ -16,6 +16,7 @@ import numpy as np
 import scipy.linalg
 from scipy.interpolate import make_interp_spline
 
+from .elementary import sine_cosine
 from .kept import kept_jit
 from .loading import Contour
 from .materials import AbstractMaterial, capacitance, largest_load, stresses
@@ -76,13 +77,14 @@ def explicit_map(material: AbstractMaterial, apex_stretch, voltage_squared, pres
         radius, l1, l2 = jnp.exp(y[0]) * xi, apex + y[2], apex - fall * xi**2
         rate1, rate2, rate_slope = slopes(material, radius, l1, l2, y[1], one, q)
         per_xi = -2 * fall * xi / rate2  # dR/dξ
-        rate_volume = jnp.pi * (radius * l2) ** 2 * l1 * jnp.sin(y[1])
+        rise = l1 * sine_cosine(y[1])[0]
+        rate_volume = jnp.pi * (radius * l2) ** 2 * rise
         # the last entry integrates the indicator of dλ2/dR ≥ 0, so it stays at −1 where the map is valid
         wrong = jnp.where(rate2 < 0, 0.0, 10.0)
         rates = [per_xi / radius - 1 / xi, per_xi * rate_slope, per_xi * rate1, per_xi * rate_volume, wrong]
         if outputs:
             ring = per_xi * 2 * jnp.pi * radius
-            rates += [per_xi * l1 * jnp.sin(y[1]), ring * capacitance(material, l1, l2), ring * material.energy(l1, l2)]
+            rates += [per_xi * rise, ring * capacitance(material, l1, l2), ring * material.energy(l1, l2)]
         return stretching * jnp.stack(rates)
 
     end, _ = integrate(field, jnp.stack(start), steps)

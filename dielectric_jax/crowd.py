@@ -6,21 +6,19 @@ import typing
 import jax
 import numpy as np
 
-from .equilibria import CONTRACTION, SCALE, difficulty, estimated_error
+from .equilibria import CONTRACTION, SCALE, difficulty
 from .lanes import FOLD, limits_program, meet_program
 from .loading import Contour
 from .membrane import Membrane
-from .stability import index_of
 
 __all__ = ["LANES", "Crowd", "Met"]
 
-LANES, FEW = 128, 16  # of one call: what fits the cache; where no more are left
-_SETTLED = 3e-4  # last move of Newton whose remainder a chord step on the finer grid removes
-_SETTLED_FOLD = 1e-5  # there the secant converges more slowly
-_SPLIT = 48  # so many lanes cost less in several small calls than in a large one
+LANES, FEW = 256, 32  # of one call: what fits the cache; where no more are left
+_SPLIT = 96  # so many lanes cost less in several small calls than in a large one
 _MOST_SPREAD = 1e-4
 _WORSE = 100  # times the tolerance: an error that no grid brings down, as beside a fold, is told as it is
 _TURNS = 6
+_MANY = 1024  # stretches of one call
 
 
 def pick(tree, which):
@@ -69,7 +67,7 @@ class Met(typing.NamedTuple):
 
 # level of difficulty, steps of Newton, of the last residual, in the order in which they are tried
 _GRIDS = [
-    (0, 12.0, 48.0),
+    (0, 12.0, 40.0),
     (0, 24.0, 80.0),
     (0, 48.0, 128.0),
     (1, 24.0, 64.0),
@@ -78,8 +76,7 @@ _GRIDS = [
     (2, 80.0, 200.0),
     (2, 160.0, 320.0),
 ]
-_ROUNDS = 2, 4  # of Newton; at folds
-_OF_TANGENT = 10  # a tangent's error by that of the residual on the same grid, measured
+_ROUNDS = 2, 3  # of Newton; at folds
 _LEVELS = 3
 _FIRST = [next((i for i, g in enumerate(_GRIDS) if g[0] == k), len(_GRIDS)) for k in range(_LEVELS + 1)]
 
@@ -102,9 +99,9 @@ class Crowd:
         if self.alone and count == 1:
             return np.stack(limits_program(pick(self.membrane, which), apex))
         out = np.empty((3, count))
-        for i in range(0, count, 8 * LANES):
-            part = slice(i, i + 8 * LANES)
-            fill = (0, 8 * LANES - len(apex[part]))
+        for i in range(0, count, _MANY):
+            part = slice(i, i + _MANY)
+            fill = (0, _MANY - len(apex[part]))
             own = np.pad(which[part], fill, mode="edge")
             found = limits_program(pick(self.membrane, own), np.pad(apex[part], fill, mode="edge"))
             out[:, part] = [np.asarray(v)[: len(apex[part])] for v in found]
@@ -116,7 +113,7 @@ class Crowd:
         def run(now, u, grid):
             own = which[now]
             nothing = np.tile([[0.0], [0.0], [1.0]], (1, len(now))), np.ones(len(now))
-            given = *nothing, rows[now].T, targets[now], kinds[now], _ROUNDS[0], *grid[1:]
+            given = *nothing, rows[now].T, targets[now], kinds[now], _ROUNDS[0], grid
             return meet_program(pick(self.membrane, own), pick(self.contour, own), u[now].T, *given)
 
         return self._meet(run, which, u, tolerance, reach)
@@ -128,40 +125,43 @@ class Crowd:
         def run(now, u, grid):
             own, lanes = which[now], len(now)
             nothing = np.zeros((3, lanes)), np.zeros(lanes), np.full(lanes, FOLD)
-            given = tangents[now].T, slopes[now], *nothing, _ROUNDS[1], *grid[1:]
-            found = meet_program(pick(self.membrane, own), pick(self.contour, own), u[now].T, *given)
-            new = np.asarray(found[-1])[0]
-            slopes[now] = np.where(np.isfinite(new), new, slopes[now])
-            return found
+            given = tangents[now].T, slopes[now], *nothing, _ROUNDS[1], grid
+            return meet_program(pick(self.membrane, own), pick(self.contour, own), u[now].T, *given)
 
-        return self._meet(run, which, u, tolerance, reach, folds=True)
+        return self._meet(run, which, u, tolerance, reach, slopes)
 
-    def _meet(self, run, which, u, tolerance, reach, folds=False) -> Met:
+    def _meet(self, run, which, u, tolerance, reach, slopes=None) -> Met:
         """Newton on one pair of grids after the other until the estimate meets the tolerance; lanes that fail end."""
         lanes = len(which)
         met, start, u = Met.nothing(lanes), u, u.copy()
         if not lanes:
             return met
         load = u[:, 2] / self.limits(u[:, 0], which)[2]
-        level = difficulty(self.locks_from[which], u[:, 0], np.nan_to_num(load))
-        stage, turns, strayed = np.array(_FIRST)[level], np.zeros(lanes, int), np.zeros(lanes, bool)
+        stage = np.array(_FIRST)[difficulty(self.locks_from[which], u[:, 0], np.nan_to_num(load))]
+        turns, strayed, last = np.zeros(lanes, int), np.zeros(lanes, bool), np.full(lanes, np.inf)
         reach = np.broadcast_to(reach, (lanes,))
         while (stage < len(_GRIDS)).any():
             s = int(stage.min())
-            todo = np.flatnonzero(stage == s)
-            for now in calls(todo):
-                found = run(now if self.alone else padded(now), u, _GRIDS[s])
-                self._take_in(found, now, which[now], u, met, _GRIDS[s], folds)
+            level, *steps = _GRIDS[s]
+            for now in calls(np.flatnonzero(stage == s)):
+                found = run(now if self.alone else padded(now), u, (*steps, CONTRACTION[level]))
+                *parts, slope, move = (np.asarray(v).T[: len(now)] for v in found)
+                u[now] = parts[0]
+                for store, values in zip(met, parts, strict=True):
+                    store[now] = values
+                if slopes is not None:
+                    slopes[now] = np.where(np.isfinite(slope), slope, slopes[now])
                 with np.errstate(invalid="ignore"):
                     lost = ~np.isfinite(u[now]).all(axis=1)
                     lost |= ~(np.linalg.norm((u[now] - start[now]) / SCALE, axis=1) <= reach[now])
                 settled = ~lost & met.ok[now]
                 good = settled & (met.error[now] <= tolerance) & (met.spread[now] <= _MOST_SPREAD)
                 turns[now] += 1
-                again = ~lost & ~settled & (turns[now] < _TURNS)  # Newton is under way: on from where it is
+                again = ~lost & ~settled & (turns[now] < _TURNS) & (move < last[now] / 2)  # Newton is under way
+                last[now] = np.where(again, move, np.inf)
                 u[now[lost]] = start[now[lost]]
                 # who is lost is so for want of resolution, if at all: once more, on the next level
-                level, ends = _GRIDS[s][0], s + 1 in _FIRST
+                ends = s + 1 in _FIRST
                 later = np.where(lost, np.where(strayed[now], len(_GRIDS), _FIRST[level + 1]), s + 1)
                 good |= settled & ends & (met.error[now] <= _WORSE * tolerance)
                 strayed[now] |= lost
@@ -169,43 +169,3 @@ class Crowd:
                 turns[now[~again]] = 0
                 met.ok[now] = good
         return met
-
-    def _take_in(self, found, now, which, u, met: Met, grid: tuple, folds: bool) -> None:
-        """Moves u by the residual on the finer grid, and writes state, error and index of the lanes `now`."""
-        count = len(now)
-        level, coarse, fine = grid
-        # the method is of order eight: what the residual changed by tells the error left on the finer grid
-        left = (2 * coarse / fine) ** 8
-        flat = jax.tree.map(lambda v: np.asarray(v)[..., :count], found)
-        at, move, residual, volume, matrix, columns, before, zeros, (slope, _, doubt) = flat
-        matrix = np.moveaxis(matrix, -1, 0)
-        with np.errstate(all="ignore"):
-            good = np.isfinite(matrix).all(axis=(1, 2)) & (np.abs(np.linalg.det(np.nan_to_num(matrix))) > 1e-300)
-            safe = np.where(good[:, None, None], matrix, np.eye(3))
-            step = -np.linalg.solve(safe, residual.T[..., None])[..., 0] * np.where(good, 1.0, np.nan)[:, None]
-            null = np.cross(matrix[:, 0], matrix[:, 1])
-            null /= np.linalg.norm(null, axis=1)[:, None]
-            moved = at.T + step * SCALE
-            shift = volume - before
-            volume = volume + np.einsum("il,li->l", columns[:, 1], step * SCALE)
-            contour = pick(self.contour, which)
-            rim = self.membrane.prestretch[which]
-            jacobian = matrix[:, :2] / SCALE
-            relative = np.max(np.abs(step * SCALE) / np.maximum(np.abs(moved), 1e-3), axis=1)
-            change = left * residual[:2].T, left * np.abs(shift), contour.slopes(volume)[1], rim
-            error = estimated_error(moved.T, volume, jacobian, columns, *change, relative * CONTRACTION[level])
-            rate = np.einsum("il,li->l", columns[:, 1], null * SCALE)
-            spread = np.zeros(count)
-            if folds:
-                along = np.abs(np.einsum("il,li->l", move, null)) * doubt
-                along += _OF_TANGENT * np.linalg.norm(step, axis=1) / np.abs(slope)
-                error += np.abs(slope) * along**2 * SCALE[2] / np.maximum(np.abs(moved[:, 2]), 1e-3)
-                spread = np.abs(rate) * along / np.maximum(np.abs(volume), 1e-3)
-            last = _SETTLED_FOLD if folds else 30 * _SETTLED
-            settled = good & (np.linalg.norm(step, axis=1) < _SETTLED) & (np.linalg.norm(move, axis=0) < last)
-            settled &= np.isfinite(moved).all(axis=1) & np.isfinite(error)
-        u[now] = moved
-        index = index_of(zeros.copy(), jacobian, columns, volume, contour)
-        parts = moved, volume, null, rate, index, error, spread, settled
-        for store, values in zip(met, parts, strict=True):
-            store[now] = values

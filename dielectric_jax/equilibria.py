@@ -9,7 +9,10 @@ and δ/16 is reported, plus what rounding can do.
 
 import concurrent.futures
 import dataclasses
+import typing
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from .loading import Contour
@@ -125,14 +128,10 @@ def _relative(move: np.ndarray, u: np.ndarray) -> np.ndarray:
 
 def _solve(matrix, right):
     """Batched solve that gives NaN, not an exception, where a matrix is singular."""
-    good = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).reshape(len(right), -1).all(axis=1)
-    safe = np.where(good[:, None, None], matrix, np.eye(matrix.shape[-1]))
     with np.errstate(all="ignore"):
-        good &= np.abs(np.linalg.det(safe)) > 1e-300
-        safe = np.where(good[:, None, None], safe, np.eye(matrix.shape[-1]))
-        out = np.linalg.solve(safe, right if right.ndim == 3 else right[..., None])
-    out[~good] = np.nan
-    return out if right.ndim == 3 else out[..., 0]
+        good = np.isfinite(matrix).all(axis=(1, 2)) & (np.abs(np.linalg.det(np.nan_to_num(matrix))) > 1e-300)
+        out = np.linalg.solve(np.where(good[:, None, None], matrix, np.eye(matrix.shape[-1])), right[..., None])
+    return np.where(good[:, None], out[..., 0], np.nan)
 
 
 def tangents(jacobian: np.ndarray) -> np.ndarray:
@@ -143,25 +142,25 @@ def tangents(jacobian: np.ndarray) -> np.ndarray:
         return null / np.linalg.norm(null, axis=1, keepdims=True)
 
 
-def estimated_error(
-    u, volume, jacobian, columns, change, change_of_volume, by_v, rim, chord: float | np.ndarray = 0.0
-) -> np.ndarray:
+def estimated_error(u, volume, jacobian, columns, change, change_of_volume, by_v, rim, chord: typing.Any = 0.0):
     """Estimate of the largest relative error of p, V and q at fixed λa, (lanes,), never below `LEAST_ESTIMATE`.
 
     Of states u (3, lanes) from what the residuals (lanes, 2) and V changed by when the steps were halved last, the Jacobian
     (lanes, 2, 3) and columns (3, 2, lanes), and what rounding can do; `by_v` is the loading's slope in V.
     """
-    off_rim = np.abs(u[0] - rim) + _FEW_ULPS / _ROUNDING * np.abs(u[0])
-    rounding = _ROUNDING * np.stack([off_rim, np.abs(u[1]) + np.abs(by_v * volume)], axis=1)
-    both = np.abs(change) / SAFETY + rounding
-    at_apex = np.broadcast_to([[[1.0, 0.0, 0.0]]], (len(both), 1, 3))
-    inverse = np.abs(_solve(np.concatenate([jacobian, at_apex], axis=1), np.tile(np.eye(3), (len(both), 1, 1))))
-    moved = np.einsum("lij,lj->li", inverse[:, :, :2], both)
-    of_volume = np.einsum("il,li->l", np.abs(columns[:, 1]), moved)
-    of_volume += _ROUNDING * np.abs(volume) + change_of_volume / SAFETY
-    value = np.stack([u[1], volume, u[2]])
-    error = np.stack([moved[:, 1], of_volume, moved[:, 2]]) / np.maximum(np.abs(value), 1e-3)
-    return np.maximum(np.nan_to_num(error.max(axis=0) + chord, nan=np.inf), LEAST_ESTIMATE)
+    xp = jnp if isinstance(volume, jax.Array) else np
+    rim_off = abs(change[:, 0]) / SAFETY + _ROUNDING * abs(u[0] - rim) + _FEW_ULPS * abs(u[0])
+    condition_off = abs(change[:, 1]) / SAFETY + _ROUNDING * (abs(u[1]) + abs(by_v * volume))
+    of_rim, of_condition = abs(jacobian[:, 0]), abs(jacobian[:, 1])
+    with np.errstate(all="ignore"):
+        determinant = abs(jacobian[:, 0, 1] * jacobian[:, 1, 2] - jacobian[:, 0, 2] * jacobian[:, 1, 1])
+        of_p = (of_condition[:, 2] * rim_off + of_rim[:, 2] * condition_off) / determinant
+        of_q = (of_condition[:, 1] * rim_off + of_rim[:, 1] * condition_off) / determinant
+        of_volume = abs(columns[1, 1]) * of_p + abs(columns[2, 1]) * of_q
+        of_volume = of_volume + _ROUNDING * abs(volume) + change_of_volume / SAFETY
+        error = xp.stack([of_p, of_volume, of_q]) / xp.maximum(abs(xp.stack([u[1], volume, u[2]])), 1e-3)
+        error = error.max(axis=0) + chord
+    return xp.maximum(xp.where(xp.isnan(error), np.inf, error), LEAST_ESTIMATE)
 
 
 def locking_stretch(membrane: Membrane) -> float:

@@ -18,6 +18,8 @@ from .cache import enabled_folder
 
 __all__ = ["kept_jit", "of_this_package", "source_digest"]
 
+# the widest vectors that the processor has; XLA would take half of them on many
+_OPTIONS = {"xla_cpu_prefer_vector_width": 512}
 _PACKAGE = __name__.split(".")[0]
 
 
@@ -59,7 +61,8 @@ def kept_jit(function: Callable) -> Callable:
     Kept are traces for arguments `of_this_package`; others, and calls inside a transformation, go through `jax.jit`. The
     result of `function` is made of tuples, lists and arrays.
     """
-    plain = jax.jit(function)
+    plain = jax.jit(function)  # inside other programs no options are allowed
+    direct = jax.jit(function, compiler_options=_OPTIONS)
     programs: dict = {}
     lock = threading.Lock()
 
@@ -67,16 +70,18 @@ def kept_jit(function: Callable) -> Callable:
     def call(*args):
         folder = enabled_folder()
         leaves, tree = jax.tree.flatten(args)
-        if folder is None or any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
             return plain(*args)
+        if folder is None:
+            return direct(*args)
         arrays = [leaf if hasattr(leaf, "dtype") else np.asarray(leaf) for leaf in leaves]
-        key = tree, tuple((leaf.shape, str(leaf.dtype)) for leaf in arrays)
+        key = tree, tuple((leaf.shape, leaf.dtype) for leaf in arrays)
         with lock:
             entry = programs.setdefault(key, {"lock": threading.Lock()})
         with entry["lock"]:
             if "program" not in entry:
                 entry["program"] = _kept(plain, folder / "programs", key) if of_this_package(args) else None
-        return plain(*args) if entry["program"] is None else entry["program"](*arrays)
+        return direct(*args) if entry["program"] is None else entry["program"](*arrays)
 
     return call
 
@@ -90,7 +95,7 @@ def _kept(plain, folder: pathlib.Path, key) -> Callable | None:
         content = path.read_bytes()
         digest, content = content[:32], content[32:]
         if hashlib.sha256(content).digest() == digest:
-            return jax.jit(jax.export.deserialize(bytearray(content)).call)
+            return jax.jit(jax.export.deserialize(bytearray(content)).call, compiler_options=_OPTIONS)
 
     def of_leaves(*leaves):
         return plain(*jax.tree.unflatten(tree, leaves))
@@ -105,4 +110,4 @@ def _kept(plain, folder: pathlib.Path, key) -> Callable | None:
         part = path.with_name(f"{path.name}.{os.getpid()}.{threading.get_ident()}")
         part.write_bytes(hashlib.sha256(content).digest() + content)
         part.replace(path)
-    return jax.jit(exported.call)
+    return jax.jit(exported.call, compiler_options=_OPTIONS)

@@ -11,12 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from .continuation import Steps, Walk, advance
-from .equilibria import SCALE
+from .equilibria import SCALE, estimated_error
 from .kept import kept_jit
 from .materials import largest_load
 from .membrane import field_ratio_squared
 from .results import Code
 from .shooting import COLUMNS, integrate_membrane
+from .stability import index_of
 from .tracing import branch_problem
 
 __all__ = [
@@ -44,6 +45,9 @@ _STEPS = Steps(
     cubic=True,
 )
 _SCALE = SCALE[:, None]
+_SETTLED = 3e-4  # last move of Newton whose remainder a chord step on the finer grid removes
+_SETTLED_FOLD = 1e-4  # there the secant converges more slowly
+_OF_TANGENT = 10  # a tangent's error by that of the residual on the same grid, measured
 
 
 def new_walks(u: np.ndarray, headings: np.ndarray) -> Walk:
@@ -138,16 +142,45 @@ def _zeros(trail):
     return jnp.sum(change, axis=0)
 
 
+def _settle(membrane, contour, kinds, grid, newton, residual, volume):
+    """What `meet_program` returns, from the end of Newton and the residuals (3, lanes) and V on the fine grid."""
+    coarse, fine, contraction = grid
+    u, (slope, _, doubt), move, matrix, columns, before, zeros = newton
+    good = jnp.all(jnp.isfinite(matrix), axis=(0, 1))
+    step = -jnp.where(good, _solve3(matrix[0], matrix[1], matrix[2], residual), jnp.nan)
+    u = u + step * _SCALE
+    null = jnp.cross(matrix[0], matrix[1], axis=0)
+    null = null / jnp.linalg.norm(null, axis=0)
+    shift = volume - before
+    volume = volume + jnp.sum(columns[:, 1] * step * _SCALE, axis=0)
+    # the method is of order eight: what the residual changed by tells the error left on the finer grid
+    left = (2 * coarse / fine) ** 8
+    jacobian = jnp.moveaxis(matrix[:2] / _SCALE, -1, 0)
+    relative = jnp.max(jnp.abs(step * _SCALE) / jnp.maximum(jnp.abs(u), 1e-3), axis=0)
+    change = left * residual[:2].T, left * jnp.abs(shift), contour.slopes(volume)[1], membrane.prestretch
+    error = estimated_error(u, volume, jacobian, columns, *change, relative * contraction)
+    rate = jnp.sum(columns[:, 1] * null * _SCALE, axis=0)
+    fold, size = kinds == FOLD, jnp.linalg.norm(step, axis=0)
+    along = jnp.abs(jnp.sum(move * null, axis=0)) * doubt + _OF_TANGENT * size / jnp.abs(slope)
+    of_load = jnp.abs(slope) * along**2 * SCALE[2] / jnp.maximum(jnp.abs(u[2]), 1e-3)
+    error = error + jnp.where(fold, of_load, 0.0)
+    spread = jnp.where(fold, jnp.abs(rate) * along / jnp.maximum(jnp.abs(volume), 1e-3), 0.0)
+    settled = (size < _SETTLED) & (jnp.linalg.norm(move, axis=0) < jnp.where(fold, _SETTLED_FOLD, 30 * _SETTLED))
+    settled &= jnp.all(jnp.isfinite(u), axis=0) & jnp.isfinite(error)
+    index = index_of(zeros, jacobian, columns, volume, contour)
+    return u, volume, null, rate, index, error, spread, settled, slope, jnp.linalg.norm(move, axis=0)
+
+
 @kept_jit
-def meet_program(membrane, contour, u, tangents, slopes, rows, targets, kinds, rounds, coarse, fine):
+def meet_program(membrane, contour, u, tangents, slopes, rows, targets, kinds, rounds, grid):
     """States on loadings where row·u = target, V = target, breakdown, or a fold of q, from u (3, lanes).
 
-    Newton on the coarse grid, `rounds` times, then the residuals on the fine one. At a fold the moves along the tangent
-    follow a secant that begins with the `slopes` d(dq)/ds. Returns u after Newton, its last move in scaled unknowns, the
-    residuals (3, lanes; 0 in the last row of a fold) and V on the fine grid, the Jacobian (3, 3, lanes)
-    in scaled unknowns, the columns (3, 2, lanes), V on the coarse grid, zeros of the sensitivity, and of folds the slope,
-    the distance of the points of the secant, and the share by which it may be wrong.
+    Newton on the coarse grid, `rounds` times, then one move by the residuals on the fine one with its Jacobian. At a fold
+    the moves along the tangent follow a secant that begins with the `slopes` d(dq)/ds. `grid` is the steps of both, and how
+    much of a chord step's move may be left. Returns, with lanes last, u, V, unit tangents in scaled unknowns, dV along
+    them, the index, the errors of a `Met`, whether Newton has settled, the slopes of folds, and the length of Newton's last move.
     """
+    coarse, fine, _ = grid
 
     def goal(u, volume, columns):
         broken, slope = _excess_load(membrane, u)
@@ -178,9 +211,9 @@ def meet_program(membrane, contour, u, tangents, slopes, rows, targets, kinds, r
     nothing = jnp.zeros((3, lanes)), jnp.zeros((3, 3, lanes)), jnp.zeros((3, 2, lanes))
     begin = u, tangents, known, u, jnp.full(lanes, jnp.nan), *nothing, jnp.zeros(lanes), jnp.zeros(lanes, int)
     state = jax.lax.fori_loop(0, rounds, newton, begin)
-    u, (move, matrix, columns, volume, zeros) = state[0], state[5:]
+    u = state[0]
     shot = integrate_membrane(membrane.material, u[0], u[1], u[2], fine)
-    g = jnp.where(kinds == FOLD, 0.0, goal(u, shot.volume, columns)[0])
+    g = jnp.where(kinds == FOLD, 0.0, goal(u, shot.volume, state[7])[0])
     lag = shot.lag - (membrane.prestretch - u[0])
     residual = jnp.stack([lag, contour.residual(u[1], shot.volume, u[2]), g])
-    return u, move, residual, shot.volume, matrix, columns, volume, zeros, state[2]
+    return _settle(membrane, contour, kinds, grid, (u, state[2], *state[5:]), residual, shot.volume)

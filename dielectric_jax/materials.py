@@ -16,6 +16,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from .elementary import log1p, reciprocal
 from .results import check_positive
 from .units import VACUUM_PERMITTIVITY, VHB_4910, Scalar, as_scalar, is_concrete
 
@@ -39,7 +40,7 @@ Elementwise: typing.TypeAlias = typing.Any  # floats of any one shape ("...",): 
 
 def first_invariant_minus_3(l1, l2):
     """λ1² + λ2² + λ3² − 3 of an incompressible membrane, λ3 = 1/(λ1 λ2)."""
-    l3 = 1 / (l1 * l2)
+    l3 = reciprocal(l1 * l2)
     return l1 * l1 + l2 * l2 + l3 * l3 - 3
 
 
@@ -107,7 +108,7 @@ class Gent(AbstractMaterial):
         top = 1 - 1e-9
         x_safe = jnp.minimum(x, top)
         d = jnp.where(x > top, x - top, 0.0) / (1 - top)
-        return -(self.stretch_limit / 2) * (jnp.log1p(-x_safe) - d - d * d / 2)
+        return -(self.stretch_limit / 2) * (log1p(-x_safe) - d - d * d / 2)
 
     def admissible(self, l1, l2):
         return first_invariant_minus_3(l1, l2) < (1 - 1e-9) * self.stretch_limit

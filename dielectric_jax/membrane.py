@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .elementary import reciprocal, sine_cosine
 from .materials import (
     AbstractBreakdown,
     AbstractMaterial,
@@ -128,12 +129,13 @@ def vhb_4910(
 def slopes(material: AbstractMaterial, radius, l1, l2, theta, pressure, q):
     """dλ1/dR (17), dλ2/dR = (λ1 cos θ − λ2)/R, dθ/dR (16)."""
     s1, s2, s11, s12 = stresses(material, l1, l2, q)
-    sine, cosine = jnp.sin(theta), jnp.cos(theta)
+    sine, cosine = sine_cosine(theta)
     lean = l1 * cosine - l2
+    per_radius = 1 / radius
     return (
-        (s2 * cosine - s1 - s12 * lean) / (radius * s11),
-        lean / radius,
-        -(s2 / s1) * sine / radius + pressure * l1 * l2 / s1,
+        (s2 * cosine - s1 - s12 * lean) * reciprocal(s11) * per_radius,
+        lean * per_radius,
+        (pressure * l1 * l2 - s2 * sine * per_radius) / s1,
     )
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .drawing import COLOURS
+from .regimes import REGIME_COLOURS
 from .store import need
 
 if TYPE_CHECKING:
@@ -147,6 +148,7 @@ def plot_sweep(data: Any, variable: str, *, x: str, y: str, ax: Axes | None = No
     import matplotlib.pyplot as plt
     from matplotlib.colors import BoundaryNorm, ListedColormap
     from matplotlib.patches import Patch
+    from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 
     values, across, up = (_variable(data, name) for name in (variable, x, y))
     if set(values.dims) != {*across.dims, *up.dims} or x == y:
@@ -160,7 +162,8 @@ def plot_sweep(data: Any, variable: str, *, x: str, y: str, ax: Axes | None = No
     if "flag_meanings" in values.attrs:
         codes = {word: code for word, code in _meanings(values).items() if code in values.values}
         limits = [*codes.values(), max(codes.values()) + 1]
-        palette = ListedColormap([COLOURS[i % len(COLOURS)] for i in range(len(codes))])
+        own = {regime.name: colour for regime, colour in REGIME_COLOURS.items()}
+        palette = ListedColormap([own.get(word, COLOURS[i % len(COLOURS)]) for i, word in enumerate(codes)])
         options = {"cmap": palette, "norm": BoundaryNorm(np.array(limits) - 0.5, len(codes))}
     if len(values.dims) == 2:
         grid = values.transpose(up.dims[0], across.dims[0]).values
@@ -171,8 +174,14 @@ def plot_sweep(data: Any, variable: str, *, x: str, y: str, ax: Axes | None = No
         axis.set_label_text(_label(data[name]))
         if place.min() > 0 and place.max() > 20 * place.min():
             (ax.set_xscale if axis is ax.xaxis else ax.set_yscale)("log")
+            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+            axis.set_minor_locator(NullLocator())
     if legend and codes is not None:
-        entries = [Patch(color=options["cmap"](i), label=word.replace("_", " ")) for i, word in enumerate(codes)]
+        entries = [
+            Patch(facecolor=options["cmap"](i), edgecolor="black", linewidth=0.5, label=word.replace("_", " "))
+            for i, word in enumerate(codes)
+        ]
         ax.legend(handles=entries, loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False)
     elif legend and ax.figure is not None:
         ax.figure.colorbar(drawn, ax=ax, label=_label(values))

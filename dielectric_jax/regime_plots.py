@@ -6,25 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .regimes import Regime
+from .regimes import REGIME_COLOURS, Regime
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __all__ = ["plot_fold_curves", "plot_regime_map"]
 
-#: pale where nothing breaks, told apart in grey too
-_COLOURS = {
-    Regime.undetermined: "#FFFFFF",
-    Regime.start_unstable: "#DDDDDD",
-    Regime.no_snap: "#F5E9B8",
-    Regime.breaks_before_snap: "#E8B8A0",
-    Regime.no_landing: "#A9A9B8",
-    Regime.breaks_in_snap: "#CC7A68",
-    Regime.no_unbroken_landing: "#BB9290",
-    Regime.stays: "#9CC7E0",
-    Regime.returns: "#BFE3C5",
-}
 _WORDS = {
     "chamber_volume": "Chamber volume V_C / A³",
     "initial_volume": "Filling V₀ / A³",
@@ -63,7 +51,7 @@ def plot_regime_map(data: Any, *, ax: Axes | None = None, designs: Any = (), leg
     assert ax is not None
     x, y = data.values
     codes = sorted(int(r) for r in Regime)
-    colours = ListedColormap([_COLOURS[Regime(c)] for c in codes])
+    colours = ListedColormap([REGIME_COLOURS[Regime(c)] for c in codes])
     norm = BoundaryNorm([c - 0.5 for c in codes] + [codes[-1] + 0.5], len(codes))
     ax.pcolormesh(x, y, data.regimes, cmap=colours, norm=norm, shading="nearest", rasterized=True)
     for values, scale in ((x, ax.set_xscale), (y, ax.set_yscale)):
@@ -80,7 +68,7 @@ def plot_regime_map(data: Any, *, ax: Axes | None = None, designs: Any = (), leg
             words = regime.words.replace(" ", "\n") if spot[2] < 0.16 else regime.words
             ax.text(x[spot[1]], y[spot[0]], words, ha="center", va="center", fontsize=8, linespacing=0.95)
         else:
-            small.append(Patch(facecolor=_COLOURS[regime], edgecolor="black", linewidth=0.5, label=regime.words))
+            small.append(Patch(facecolor=REGIME_COLOURS[regime], edgecolor="black", linewidth=0.5, label=regime.words))
     for point in designs:
         ax.plot(*point, "*", color="black", markersize=12, markeredgecolor="white", zorder=5)
     ax.set(xlabel=_words(data.names[0]), ylabel=_words(data.names[1]))

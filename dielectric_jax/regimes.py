@@ -11,7 +11,7 @@ from .records import SpecialPoint
 from .scene import SCANNED_LOAD, Scene
 from .surface import Surface
 
-__all__ = ["SNAPPING", "Regime", "regime_of", "regime_of_diagram", "regimes_of_ramps"]
+__all__ = ["REGIME_COLOURS", "SNAPPING", "Regime", "regime_of", "regime_of_diagram", "regimes_of_ramps"]
 
 
 class Regime(enum.IntEnum):
@@ -33,6 +33,18 @@ class Regime(enum.IntEnum):
         return self.name.replace("_", " ")
 
 
+#: on maps: pale where nothing breaks, told apart in grey too
+REGIME_COLOURS = {
+    Regime.undetermined: "#FFFFFF",
+    Regime.start_unstable: "#DDDDDD",
+    Regime.no_snap: "#F5E9B8",
+    Regime.breaks_before_snap: "#E8B8A0",
+    Regime.no_landing: "#A9A9B8",
+    Regime.breaks_in_snap: "#CC7A68",
+    Regime.no_unbroken_landing: "#BB9290",
+    Regime.stays: "#9CC7E0",
+    Regime.returns: "#BFE3C5",
+}
 #: regimes in which the ramp snaps
 SNAPPING = (Regime.no_landing, Regime.breaks_in_snap, Regime.stays, Regime.returns)
 

@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .chart import map_nodes
+from .elementary import sine_cosine
 from .elements import NODES, Element, Sampler, Task, coefficients, fresh_places, marks, node_points, read, refine
 from .kept import kept_jit
 from .materials import AbstractMaterial, capacitance, largest_load, stresses
@@ -41,7 +42,7 @@ def rim_state(material: AbstractMaterial, p, q, rim, end):
     """p, V, z, C, U of the state whose rim is where λ2 = `rim`: there `end` holds R, λ1, θ, V, z, C of a pressure p."""
     radius, l1, theta, volume, height, charge = end
     pressure, volume, charge = p * radius, volume / radius**3, charge / radius**2
-    sine, cosine = jnp.sin(theta), jnp.cos(theta)
+    sine, cosine = sine_cosine(theta)
     s1 = stresses(material, l1, rim, q)[0]
     density = material.energy(l1, rim) - q * capacitance(material, l1, rim) / 2
     at_rim = density - pressure * rim**2 * l1 * sine / 2 + (rim - l1 * cosine) * s1 * cosine
@@ -51,7 +52,7 @@ def rim_state(material: AbstractMaterial, p, q, rim, end):
 
 def state_rates(material: AbstractMaterial, radius, l1, l2, theta, bends):
     """d/dR of λ1, λ2, θ (`bends`), V, z, C."""
-    rise = l1 * jnp.sin(theta)
+    rise = l1 * sine_cosine(theta)[0]
     ring = 2 * jnp.pi * radius * capacitance(material, l1, l2)
     return jnp.stack([*bends, jnp.pi * (radius * l2) ** 2 * rise, rise, ring])
 

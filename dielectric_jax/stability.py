@@ -9,6 +9,7 @@ Hoop tension does not enter: where it is lost the membrane wrinkles, which no ax
 
 import dataclasses
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -56,7 +57,8 @@ def index_under(zeros, of_rim, columns, by_p, by_v):
     zeros = zeros + ((zeros % 2 == 1) != (a < 0))  # a zero that a step at the rim hides
     with np.errstate(all="ignore"):
         gain = _gain(a, b, columns, by_p, by_v) / a
-    return np.where((np.asarray(by_v) != 0) & (gain < 0), zeros - 1, zeros)
+    xp = jnp if isinstance(a, jax.Array) else np
+    return xp.where((xp.asarray(by_v) != 0) & (gain < 0), zeros - 1, zeros)
 
 
 def _gain(a, b, columns, by_p, by_v):

@@ -69,7 +69,7 @@ def test_known_edges_of_regimes(surface):
     # at V_C = 25000 the membrane survives the snap only when filled beyond V_0 = 2.361001148
     ramps = chamber_ramps(surface, 25000.0, [2.36100, 2.36101])
     assert list(ramps.outcome) == [Outcome.breakdown_in_snap, Outcome.breakdown_on_branch]
-    # bistable, so that the way down stays in the snapped state, from V_C = 1455.896262457
+    # bistable, so that the way down stays in the snapped state, from V_C = 1455.896262454
     ramps = chamber_ramps(surface, [1455.89, 1455.91], 2.42)
     assert list(np.isfinite(ramps.snap_back.voltage[:, 0])) == [True, False]
 

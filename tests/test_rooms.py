@@ -7,6 +7,7 @@ import pytest
 
 ROOMS = [
     "cache",
+    "elementary",
     "locks",
     "kept",
     "results",
@@ -48,6 +49,7 @@ ROOMS = [
     "lanes",
     "crowd",
     "polylines",
+    "other_branches",
     "assembly",
     "batch",
     "ramp",

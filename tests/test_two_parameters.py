@@ -34,7 +34,7 @@ def test_cusps_and_the_onset_of_bistability(over_volume):
     for found, known in zip(cusps, (484.049660366, 551.399141264), strict=True):
         assert abs(found.parameter / known - 1) < 1e-11
     (rest,) = over_volume.named("zero_voltage")
-    assert rest.voltage == 0 and abs(rest.parameter / 1455.896262457 - 1) < 1e-11
+    assert rest.voltage == 0 and abs(rest.parameter / 1455.896262454 - 1) < 1e-11
 
 
 def test_every_point_is_a_fold_or_a_breakdown_of_its_chamber(over_volume):
