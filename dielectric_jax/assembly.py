@@ -187,15 +187,45 @@ _SWING = 0.5  # of the first swing: by so much do all later ones stay below it
 _SPECIAL = (6, 5, 3)  # folds, zeros, breakdowns that are told
 
 
-def values_of(met: Met, i: int) -> list[float]:
-    """λa, p, V, q and error of one state."""
-    return [met.u[i, 0], met.u[i, 1], met.volume[i], met.u[i, 2], max(met.error[i], met.spread[i])]
+def _values(met: Met) -> np.ndarray:
+    """λa, p, V, q and error of states, (states, 5)."""
+    return np.stack([met.u[:, 0], met.u[:, 1], met.volume, met.u[:, 2], np.maximum(met.error, met.spread)], axis=1)
+
+
+def _along_lines(events: Events, start: np.ndarray | None, lines: int, count: int) -> np.ndarray:
+    """Values (lines, 5, count) of the first events on every line, `start` (lines, 5) before them; NaN where there are fewer."""
+    line, position, values = events.line, events.position, _values(events.met)
+    if start is not None:
+        own = np.flatnonzero(np.isfinite(start[:, 0]))
+        line, position = np.concatenate([own, line]), np.concatenate([np.full(len(own), -1.0), position])
+        values = np.concatenate([start[own], values])
+    order = np.lexsort((position, line))
+    rank = np.arange(len(line)) - np.searchsorted(line[order], line[order])
+    which = order[rank < count]
+    marks = np.full((lines, 5, count), np.nan)
+    marks[line[which], :, rank[rank < count]] = values[which]
+    return marks
+
+
+class _Lists:
+    """The events of an assembly as lists: of each kind their positions and values, those of a line, crossings of a fold."""
+
+    def __init__(self, of: Assembly):
+        self.positions, self.values, self.on_line, self.of_fold = {}, {}, {}, {}
+        for kind in ("folds", "zeros", "breaks", "crossings"):
+            events = getattr(of, kind)
+            self.positions[kind], self.values[kind] = events.position.tolist(), _values(events.met)
+            self.on_line[kind] = {}
+            for i, line in enumerate(events.line.tolist()):
+                self.on_line[kind].setdefault(line, []).append(i)
+        for i, fold in enumerate(of.crossings.of_fold.tolist()):
+            self.of_fold.setdefault(fold, []).append(i)
 
 
 class _Ramp:
     """The way up and down of one scene over the events of its lines."""
 
-    def __init__(self, of: Assembly, lists, main: int, breakdown_load, cone: bool):
+    def __init__(self, of: Assembly, lists: _Lists, main: int, breakdown_load, cone: bool):
         self.of, self.lists, self.breakdown_load = of, lists, breakdown_load
         self.main, self.cone = main, cone
         self.told = np.full((5, _EVENTS), np.nan)
@@ -203,11 +233,11 @@ class _Ramp:
 
     def next(self, kind: str, line: int, position: float, side: int):
         """The next event of a kind along a line, or None: its index."""
-        events = getattr(self.of, kind)
+        at = self.lists.positions[kind]
         ahead = [
-            (side * (events.position[i] - position), i)
-            for i in self.lists[kind].get(line, ())
-            if side * (events.position[i] - position) > 1e-9
+            (side * (at[i] - position), i)
+            for i in self.lists.on_line[kind].get(line, ())
+            if side * (at[i] - position) > 1e-9
         ]
         return min(ahead)[1] if ahead else None
 
@@ -217,7 +247,7 @@ class _Ramp:
         way = side * np.sign(met.volume_rate[fold])
         found = [
             (way * (crossings.met.volume[i] - met.volume[fold]), i)
-            for i in self.lists["of_fold"].get(fold, ())
+            for i in self.lists.of_fold.get(fold, ())
             if crossings.met.index[i] == 0
         ]
         found = [f for f in found if f[0] > 0]
@@ -229,35 +259,37 @@ class _Ramp:
         Towards the cone q swings about a limit, each swing a small share of the one before.
         """
         folds, load = self.of.folds, self.of.folds.met.u[fold, 2]
-        further = [i for i in self.lists["folds"][line] if side * (folds.position[i] - folds.position[fold]) > 0]
+        further = [
+            i for i in self.lists.on_line["folds"][line] if side * (folds.position[i] - folds.position[fold]) > 0
+        ]
         if not self.cone or not further:
             return False
         loads = folds.met.u[further, 2]
         last = self.of.lines.points[line, self.of.lines.count[line] - 1, 2] * SCALE[2]
         return max(loads.max(), last) < load - _SWING * (load - loads.min())
 
-    def tell(self, column: int, met: Met, i: int) -> None:
-        self.told[:, column] = values_of(met, i)
+    def tell(self, column: int, kind: str, i: int) -> None:
+        self.told[:, column] = self.lists.values[kind][i]
 
     def up(self) -> Outcome:
         """Follows the way up and returns how it ends; then, where it survives, the way down."""
         of, line, position, side = self.of, self.main, 0.0, 1
         for stage in range(_SNAPS + 1):
-            fold, broken = (self.next(kind, line, position, side) for kind in ("folds", "breaks"))
+            fold, broken = self.next("folds", line, position, side), self.next("breaks", line, position, side)
             if fold is None and broken is None:
                 return Outcome.unresolved
             at = [side * e.position[i] if i is not None else np.inf for e, i in ((of.folds, fold), (of.breaks, broken))]
             if broken is not None and at[1] < at[0]:
-                self.tell(5, of.breaks.met, broken)
+                self.tell(5, "breaks", broken)
                 return self.down(line, position, side)
             if stage == _SNAPS or fold is None:
                 return Outcome.unresolved
-            self.tell(1 + stage, of.folds.met, fold)
+            self.tell(1 + stage, "folds", fold)
             self.snaps += 1
             landing = self.land(fold, side)
             if landing is None:
                 return Outcome.no_unbroken_landing if self.calms_below(line, fold, side) else Outcome.unresolved
-            self.tell(3 + stage, of.crossings.met, landing)
+            self.tell(3 + stage, "crossings", landing)
             load, limit = of.folds.met.u[fold, 2], self.breakdown_load(landing)
             if abs(load - limit) <= _AMBIGUOUS * limit:
                 return Outcome.unresolved
@@ -274,21 +306,21 @@ class _Ramp:
             self.told[:, 10] = self.told[:, 0]
             return Outcome.breakdown_on_branch
         for stage in range(_SNAPS + 1):
-            fold, zero = (self.next(kind, line, position, -side) for kind in ("folds", "zeros"))
+            fold, zero = self.next("folds", line, position, -side), self.next("zeros", line, position, -side)
             at = [-side * e.position[i] if i is not None else np.inf for e, i in ((of.folds, fold), (of.zeros, zero))]
             if zero is not None and at[1] < at[0]:
-                self.tell(10, of.zeros.met, zero)
+                self.tell(10, "zeros", zero)
                 return Outcome.breakdown_on_branch
             if fold is None and line == self.main and side > 0:  # back at the start
                 self.told[:, 10] = self.told[:, 0]
                 return Outcome.breakdown_on_branch
             if fold is None or stage == _SNAPS:
                 return Outcome.unresolved
-            self.tell(6 + stage, of.folds.met, fold)
+            self.tell(6 + stage, "folds", fold)
             landing = self.land(fold, -side)
             if landing is None:
                 return Outcome.unresolved
-            self.tell(8 + stage, of.crossings.met, landing)
+            self.tell(8 + stage, "crossings", landing)
             line, position = int(of.crossings.line[landing]), float(of.crossings.position[landing])
             side = 1 if of.crossings.met.tangent[landing, 2] > 0 else -1
         return Outcome.unresolved
@@ -300,32 +332,24 @@ def tell_ramps(of: Assembly, start: Met, breakdown_loads: np.ndarray, complete, 
     `breakdown_loads` are q_b at the crossings, `complete` says of which scenes the line is known, `alone` where no other
     branch lies below breakdown, `cone` whose line ends near the cone.
     """
-    scenes = len(complete)
-    lists: dict = {kind: {} for kind in ("folds", "zeros", "breaks", "of_fold")}
-    for kind in ("folds", "zeros", "breaks"):
-        for i, line in enumerate(getattr(of, kind).line.tolist()):
-            lists[kind].setdefault(line, []).append(i)
-    for i, fold in enumerate(of.crossings.of_fold.tolist()):
-        lists["of_fold"].setdefault(fold, []).append(i)
+    scenes, lists, begin = len(complete), _Lists(of), _values(start)
     told = np.full((scenes, 5, _EVENTS), np.nan)
     outcome, snaps = np.full(scenes, int(Outcome.unresolved)), np.zeros(scenes, int)
-    marks = [np.full((scenes, 5, count), np.nan) for count in _SPECIAL]
-    for k in np.flatnonzero(start.ok).tolist():
-        if start.index[k] != 0:
-            outcome[k] = int(Outcome.start_unstable)
-            told[k, :, 0] = values_of(start, k)
-            continue
-        ramp = _Ramp(of, lists, int(k), lambda i: breakdown_loads[i], bool(cone[k]))
-        ramp.told[:, 0] = values_of(start, k)
+    stable = start.ok & (start.index == 0)
+    unstable = start.ok & ~stable
+    outcome[unstable], told[unstable, :, 0] = int(Outcome.start_unstable), begin[unstable]
+    for k in np.flatnonzero(stable).tolist():
+        ramp = _Ramp(of, lists, k, lambda i: breakdown_loads[i], bool(cone[k]))
+        ramp.told[:, 0] = begin[k]
         ended = ramp.up()
         # a state on another branch may be where a snap lands
         if complete[k] and (alone[k] or not ramp.snaps) and ended is not Outcome.unresolved:
             told[k], outcome[k], snaps[k] = ramp.told, int(ended), ramp.snaps
-        for mark, kind in zip(marks, ("folds", "zeros", "breaks"), strict=True):
-            events = getattr(of, kind)
-            own = sorted(lists[kind].get(int(k), []), key=lambda i: events.position[i])
-            values = [values_of(start, k)] if kind == "zeros" else []
-            values = (values + [values_of(events.met, i) for i in own])[: mark.shape[2]]
-            if values:
-                mark[k, :, : len(values)] = np.array(values).T
+    begin = np.where(stable[:, None], begin, np.nan)
+    marks = [
+        _along_lines(events, begin if events is of.zeros else None, scenes, count)
+        for events, count in zip((of.folds, of.zeros, of.breaks), _SPECIAL, strict=True)
+    ]
+    for mark in marks:  # of scenes that begin unstable only the start is told
+        mark[~stable] = np.nan
     return told, *marks, snaps, outcome

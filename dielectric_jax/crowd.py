@@ -143,29 +143,30 @@ class Crowd:
         while (stage < len(_GRIDS)).any():
             s = int(stage.min())
             level, *steps = _GRIDS[s]
-            for now in calls(np.flatnonzero(stage == s)):
-                found = run(now if self.alone else padded(now), u, (*steps, CONTRACTION[level]))
-                *parts, slope, move = (np.asarray(v).T[: len(now)] for v in found)
-                u[now] = parts[0]
-                for store, values in zip(met, parts, strict=True):
-                    store[now] = values
-                if slopes is not None:
-                    slopes[now] = np.where(np.isfinite(slope), slope, slopes[now])
-                with np.errstate(invalid="ignore"):
-                    lost = ~np.isfinite(u[now]).all(axis=1)
-                    lost |= ~(np.linalg.norm((u[now] - start[now]) / SCALE, axis=1) <= reach[now])
-                settled = ~lost & met.ok[now]
-                good = settled & (met.error[now] <= tolerance) & (met.spread[now] <= _MOST_SPREAD)
-                turns[now] += 1
-                again = ~lost & ~settled & (turns[now] < _TURNS) & (move < last[now] / 2)  # Newton is under way
-                last[now] = np.where(again, move, np.inf)
-                u[now[lost]] = start[now[lost]]
-                # who is lost is so for want of resolution, if at all: once more, on the next level
-                ends = s + 1 in _FIRST
-                later = np.where(lost, np.where(strayed[now], len(_GRIDS), _FIRST[level + 1]), s + 1)
-                good |= settled & ends & (met.error[now] <= _WORSE * tolerance)
-                strayed[now] |= lost
-                stage[now] = np.where(good, len(_GRIDS), np.where(again, s, later))
-                turns[now[~again]] = 0
-                met.ok[now] = good
+            todo = np.flatnonzero(stage == s)
+            now = next(calls(todo[np.argsort(turns[todo], kind="stable")]))  # who goes on rides along with fresh ones
+            found = run(now if self.alone else padded(now), u, (*steps, CONTRACTION[level]))
+            *parts, slope, move = (np.asarray(v).T[: len(now)] for v in found)
+            u[now] = parts[0]
+            for store, values in zip(met, parts, strict=True):
+                store[now] = values
+            if slopes is not None:
+                slopes[now] = np.where(np.isfinite(slope), slope, slopes[now])
+            with np.errstate(invalid="ignore"):
+                lost = ~np.isfinite(u[now]).all(axis=1)
+                lost |= ~(np.linalg.norm((u[now] - start[now]) / SCALE, axis=1) <= reach[now])
+            settled = ~lost & met.ok[now]
+            good = settled & (met.error[now] <= tolerance) & (met.spread[now] <= _MOST_SPREAD)
+            turns[now] += 1
+            again = ~lost & ~settled & (turns[now] < _TURNS) & (move < last[now] / 2)  # Newton is under way
+            last[now] = np.where(again, move, np.inf)
+            u[now[lost]] = start[now[lost]]
+            # who is lost is so for want of resolution, if at all: once more, on the next level
+            ends = s + 1 in _FIRST
+            later = np.where(lost, np.where(strayed[now], len(_GRIDS), _FIRST[level + 1]), s + 1)
+            good |= settled & ends & (met.error[now] <= _WORSE * tolerance)
+            strayed[now] |= lost
+            stage[now] = np.where(good, len(_GRIDS), np.where(again, s, later))
+            turns[now[~again]] = 0
+            met.ok[now] = good
         return met

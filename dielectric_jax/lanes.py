@@ -35,7 +35,7 @@ LEVEL, VOLUME, BREAKDOWN, FOLD = range(4)  # row·u = target; V = target; q = q_
 _PASSES = 4
 _APART = 1e-5  # of points whose tangents tell how fast q turns
 _STEPS = Steps(
-    first=0.1,
+    first=0.2,
     largest=2.0,
     smallest=2e-5,
     most_turn=0.5,

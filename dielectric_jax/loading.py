@@ -75,11 +75,13 @@ class Contour(eqx.Module):
 
     def residual(self, pressure, volume, voltage_squared):
         """The condition; elementwise."""
-        return (
-            self.pressure_weight * (pressure - self.gas_pressure(volume))
-            + self.load_weight * (voltage_squared - self.load)
-            + self.volume_weight * (volume - self.volume)
-        )
+        value = self.pressure_weight * (pressure - self.gas_pressure(volume))
+        on_host = _namespace(pressure, volume, voltage_squared, *jax.tree.leaves(self)) is np
+        if not (on_host and not np.any(self.load_weight)):
+            value = value + self.load_weight * (voltage_squared - self.load)
+        if not (on_host and not np.any(self.volume_weight)):
+            value = value + self.volume_weight * (volume - self.volume)
+        return value
 
     def slopes(self, volume):
         """Derivatives of the residual by p, V and q."""

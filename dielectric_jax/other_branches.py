@@ -18,7 +18,7 @@ from .scene import Scene
 __all__ = ["have_others"]
 
 _DENSE = 6, 16, 200  # points on an interval of a line: closer where cells are left, as rows crowd towards lock-up
-_TOGETHER = 16  # scenes that are looked at together, in the cache
+_TOGETHER = 32  # scenes that are looked at together, in the cache
 _EVERY = 3  # node of the scan is enough to see another branch
 
 
