@@ -131,7 +131,7 @@ def continuation_entries(lanes, quick):
             batch = dj.continue_scenes(scenes, tolerance=tolerance)
             return of_ramps(lanes, batch.ramps), None, {"unresolved": unresolved(batch.ramps)}
 
-        yield Entry("continuation", {"tolerance": tolerance, "batched": True}, lanes, run, rounds=2 if quick else 5)
+        yield Entry("continuation", {"tolerance": tolerance, "batched": True}, lanes, run, rounds=2 if quick else 15)
     some = chambers.spread(lanes, 2 if quick else 8)
     for tolerance in () if quick else (1e-6, 1e-9, 1e-12):
         yield Entry(

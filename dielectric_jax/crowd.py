@@ -67,7 +67,7 @@ class Met(typing.NamedTuple):
 
 # level of difficulty, steps of Newton, of the last residual, in the order in which they are tried
 _GRIDS = [
-    (0, 12.0, 40.0),
+    (0, 12.0, 36.0),
     (0, 24.0, 80.0),
     (0, 48.0, 128.0),
     (1, 24.0, 64.0),
