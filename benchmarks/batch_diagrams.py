@@ -6,7 +6,8 @@ landing. Errors are against `data/chambers.csv` (see `make_references.py`), good
 time; what carries over to another machine are ratios. Compiling, building a surface and starting a process are told apart.
 
 - `continuation`: ours by shooting and pseudo-arclength, at several tolerances: all lanes in one batch, and single diagrams
-  (with every branch of the whole window and an independent scan) of some lanes.
+  (with every branch of the whole window and an independent scan) of some lanes. The best of fifteen rounds of the whole
+  batch, for AUTO has the best of its rounds lane by lane.
 - `surface`: `chamber_ramps` on surfaces of several tolerances. What the surface does not decide is a wrong lane here.
 - `scipy_shooting`, `scipy_solve_bvp`: SciPy's DOP853 and `solve_bvp` under a continuation in NumPy, stepping at given
   apex stretches (natural) or along the arc, on some of the lanes.

@@ -142,9 +142,7 @@ class Polylines:
 
     def dense(self, most: int) -> np.ndarray:
         """`most` points on every interval, its end included, (lines, intervals × most, 3); NaN where there is none."""
-        s = np.arange(1, most + 1) / most
-        gap = self.lengths[..., None]
-        ends = self.points[:, :-1], self.points[:, 1:], gap * self.tangents[:, :-1], gap * self.tangents[:, 1:]
-        weights = np.stack([(1 - s) ** 2 * (1 + 2 * s), s**2 * (3 - 2 * s), s * (1 - s) ** 2, -(s**2) * (1 - s)])
-        between = np.tensordot(np.stack(ends, axis=-1), weights, 1)  # (lines, intervals, 3, most)
-        return np.moveaxis(between, 2, 3).reshape(len(gap), -1, 3)
+        shares = np.arange(1, most + 1)[:, None] / most
+        x, t = self.points[:, :, None], self.tangents[:, :, None]
+        gap = self.lengths[..., None, None]
+        return hermite(x[:, :-1], x[:, 1:], t[:, :-1], t[:, 1:], gap, shares).reshape(len(gap), -1, 3)
