@@ -93,8 +93,8 @@ def find_curves(solver, limits, *, count: int, tolerance: float, extend: bool = 
     lines = surface_branches(solver, box, follow if extend else None) if isinstance(solver, OnSurface) else []
     chart = cached_scan(membrane, stretches, loads)
     contours = chart.contours(contour)
-    more, complete = _traced(membrane, contour, limits, contours, lines, chart, len(_LARGEST) if extend else 0)
-    curves = []
+    more, pending = _traced(membrane, contour, limits, contours, lines, chart, len(_LARGEST) if extend else 0)
+    curves, complete = [], True
     for line, tangents, codes in lines + more:
         x = scaled(line)
         for end in (0, -1):
@@ -106,13 +106,16 @@ def find_curves(solver, limits, *, count: int, tolerance: float, extend: bool = 
             continue
         complete &= _agrees(membrane, curve, contours, chart)
         curves.append(curve)
+    if pending:  # by the traces; a curve may come farther than its trace did
+        shadows = [_on_chart(membrane, _dense(c.points.u.T, c.points.tangent)) for c in curves]
+        complete &= all(_uncovered(membrane, c, shadows, chart.load_fraction[-1]) is None for c in pending)
     curves = _distinct(membrane, curves)
     curves.sort(key=lambda c: c.points.place(contour).min())
     return curves, bool(complete)
 
 
 def _traced(membrane, contour, limits, contours, known: list, chart: Scan, rounds: int):
-    """The branches that the scan shows and the `known` lines do not cover, by continuation; and whether none is left."""
+    """The branches that the scan shows and the `known` lines do not cover, by continuation; and what is left of them."""
     lines: list = []
     shadows = [_on_chart(membrane, _dense(line, tangents)) for line, tangents, _ in known]
     top = chart.load_fraction[-1]
@@ -148,7 +151,7 @@ def _traced(membrane, contour, limits, contours, known: list, chart: Scan, round
                 pending.append(again)
         if not pending:
             break
-    return lines, not pending
+    return lines, pending
 
 
 def _name_end(code: Code, locks: bool, membrane: Membrane, u: np.ndarray) -> Code:

@@ -67,7 +67,7 @@ class Met(typing.NamedTuple):
 
 # level of difficulty, steps of Newton, of the last residual, in the order in which they are tried
 _GRIDS = [
-    (0, 12.0, 48.0),
+    (0, 12.0, 36.0),
     (0, 24.0, 80.0),
     (0, 48.0, 128.0),
     (1, 24.0, 64.0),
@@ -76,8 +76,6 @@ _GRIDS = [
     (2, 80.0, 200.0),
     (2, 160.0, 320.0),
 ]
-_LOOSE = 5e-9  # from this tolerance on the first grid is shorter: who asks for less reads other numbers off the states
-_SHORTER = 36.0
 _ROUNDS = 2, 3  # of Newton; at folds
 _LEVELS = 3
 _FIRST = [next((i for i, g in enumerate(_GRIDS) if g[0] == k), len(_GRIDS)) for k in range(_LEVELS + 1)]
@@ -145,7 +143,6 @@ class Crowd:
         while (stage < len(_GRIDS)).any():
             s = int(stage.min())
             level, coarse, fine = _GRIDS[s]
-            fine = _SHORTER if s == 0 and tolerance >= _LOOSE else fine
             todo = np.flatnonzero(stage == s)
             now = next(calls(todo[np.argsort(turns[todo], kind="stable")]))  # who goes on rides along with fresh ones
             found = run(now if self.alone else padded(now), u, (coarse, fine, CONTRACTION[level]))

@@ -30,7 +30,7 @@ _MOST_TURN, _MOST_OFFSET = 0.25, 0.1  # radians; and of the step
 _MOST_POINTS = 2000
 _LEAP = 0.05  # of λa of the filling from one point to the next: it is another branch's
 _ON = 1e-9  # of a level, in scaled unknowns
-_PLACE = 1e-11  # of a point between two, as a share of the way
+_PLACE = 1e-12  # of a point between two, as a share of the way
 LARGEST_LOAD = SCANNED_LOAD  # of t: beyond it folds crowd towards the cone, without end
 _LOG_FROM = 4.0  # the ratio of bounds from which the parameter is followed in its logarithm
 
@@ -85,23 +85,25 @@ class ConditionsOver:
         still = path[0] == "loading" and not name.startswith("initial")
         self.moves = not (still or path[:2] == ("membrane", "breakdown"))
         self.start: Found | None = None
-        self.last: tuple = ()
+        self.value = math.nan
+        self._known: dict = {}
+        self._fillings: dict[float, Found] = {}
 
     def begin_anew(self) -> None:
         """Forgets the last filling, which may be another branch's; one that does not move stays."""
         if self.moves:
-            self.start, self.last = None, ()
+            self.start, self._known = None, {}
 
     @property
     def filling(self) -> float:
         """λa of the state that fills the chamber, NaN without one."""
         return math.nan if self.start is None else float(self.start.state.apex_stretch)
 
-    def check_filling(self, value: float) -> None:
+    def check_filling(self) -> None:
         """Raises where another state fills the chamber than the one that was followed: of several at p_0 the smallest does."""
         if self.start is None or not self.moves:
             return
-        scene = self.scene.replace(**{self.name: value})
+        scene = self.scene.replace(**{self.name: self.value})
         target = typing.cast(Chamber, scene.loading).initial_pressure
         if target is None:
             return
@@ -110,40 +112,46 @@ class ConditionsOver:
             self.begin_anew()
             raise _NoFilling
 
-    def at(self, value: float):
-        """θ and dθ as (leaves that move, their rates)."""
-        if not self.last or self.last[0] != value:
-            self.last = (value, *self._at(float(value)))
-        return self.last[1:]
+    def at(self, value: float, steps: float):
+        """θ and dθ as (leaves that move, their rates).
 
-    def _at(self, value: float):
-        start = self._filled(value) if self.filled else None
+        The filling is a state of shots of so many steps: so what they miss is in the moves from grid to grid.
+        """
+        if self.value != value:
+            self.value, self._known = value, {}
+        if steps not in self._known:
+            self._known[steps] = self._at(float(value), steps)
+        return self._known[steps]
+
+    def _at(self, value: float, steps: float):
+        start = self._filled(value, steps) if self.filled else None
         theta, rate = _conditions_at(self.name, self.scene, start, value)
         rates = [np.ravel(np.asarray(r)) for r in jax.tree.leaves(rate)]
         moving = tuple(k for k, r in enumerate(rates) if np.any(r != 0))
         return theta, moving, np.concatenate([rates[k] for k in moving]) if moving else np.zeros(0)
 
-    def _filled(self, value: float) -> Found:
+    def _filled(self, value: float, steps: float) -> Found:
         """The state that fills the chamber, from the last one."""
-        if self.start is not None and not self.moves:
-            return self.start
+        if not self.moves and steps in self._fillings:
+            return self._fillings[steps]
         scene = self.scene.replace(**{self.name: value})
-        if self.start is not None:
-            loading = typing.cast(Chamber, scene.loading)
-            by_volume = loading.initial_volume is not None
-            kind, target = (VOLUME, loading.initial_volume) if by_volume else (PRESSURE, loading.initial_pressure)
-            held = _floats(Conditions(scene.membrane, ConstantVoltage(0.0).contour(), target))
-            state = _settled(kind, self.start.state, held)
-            if state is not None:
-                self.start = self.start._replace(state=state)
-                return self.start
-        self.start = _fill(scene)
+        loading = typing.cast(Chamber, scene.loading)
+        by_volume = loading.initial_volume is not None
+        kind, target = (VOLUME, loading.initial_volume) if by_volume else (PRESSURE, loading.initial_pressure)
+        held = _floats(Conditions(scene.membrane, ConstantVoltage(0.0).contour(), target))
+        state = None if self.start is None else _settled(kind, self.start.state, held, steps)
+        if state is None:
+            self.start = _fill(scene)
+            state = _settled(kind, self.start.state, held, steps)
+        if self.start is None or state is None:
+            raise _NoFilling
+        self.start = self._fillings[steps] = self.start._replace(state=state)
         return self.start
 
 
-def _settled(kind: str, last: Solution, held: Conditions) -> Solution | None:
-    """The state of a kind near the last one; None where Newton does not settle."""
-    u, engine = np.array([float(v) for v in last[:3]]), ByShooting(np.asarray(_GRIDS[0][1]))
+def _settled(kind: str, last: Solution, held: Conditions, steps: float) -> Solution | None:
+    """The state of a kind near the last one, by shots of so many steps; None where Newton does not settle."""
+    u, engine = np.array([float(v) for v in last[:3]]), ByShooting(np.asarray(steps))
     for _ in range(8):
         value, by_u = (np.asarray(v) for v in linearised(kind, (), engine, u, held)[:2])
         move = -np.linalg.solve(by_u[:3], value[:3])
@@ -188,7 +196,7 @@ class System:
 
     def linear(self, z: np.ndarray, steps: float):
         """F (3,), its Jacobian (3, 4) by z, rows scaled, and V."""
-        theta, moving, rates = self.conditions.at(self.value(z[3]))
+        theta, moving, rates = self.conditions.at(self.value(z[3]), steps)
         self.membrane = theta.membrane
         value, by_u, by_theta = linearised(self.kind, moving, ByShooting(np.asarray(steps)), z[:3] * SCALE, theta)
         value, by_u, by_theta = (np.asarray(v) for v in (value, by_u, by_theta))
@@ -200,13 +208,16 @@ class System:
     def _fraction(self, u) -> float:
         return float(u[2] / largest_on(self.membrane.material, u[:1])[0])
 
-    def meet(self, z: np.ndarray, row: np.ndarray, target: float, towards: np.ndarray, reach: float = 0.3) -> Place:
-        """The point of the curve with row·z = target near z; its tangent points `towards`. Raises Lost."""
+    def meet(self, z: np.ndarray, row: np.ndarray, target: float, towards, reach=0.3, finer=0) -> Place:
+        """The point of the curve with row·z = target near z; its tangent points `towards`. Raises Lost.
+
+        The tangent is that before Newton's last move, which a grid further on makes smaller (`finer`).
+        """
         begin, length = z, float(np.linalg.norm(row))
         row, target = row / length, target / length
         u = z[:3] * SCALE
         hard = int(difficulty(locking_stretch(self.membrane), u[:1], np.array([self._fraction(u)]))[0])
-        for coarse, fine in _GRIDS[hard:]:
+        for coarse, fine in _GRIDS[min(hard + finer, 2) :]:
             size = math.inf
             for steps in (*[coarse] * 7, fine):
                 if steps == coarse and size < _SETTLED:
@@ -224,11 +235,16 @@ class System:
                 return self._place(z, tangent * (-1.0 if tangent @ towards < 0 else 1.0), volume, move)
         raise Lost
 
+    def relative(self, z: np.ndarray, move: np.ndarray) -> float:
+        """A move of z as that of the control and of the parameter, relative; the greater of the two."""
+        k = self.control
+        of_control = abs(move[k]) * SCALE[k] / max(abs(z[k] * SCALE[k]), 1e-3)
+        return max(of_control, abs(move[3] * self.rate(z[3]) / self.value(z[3])))
+
     def _place(self, z, tangent, volume: float, move) -> Place:
-        self.conditions.check_filling(self.conditions.last[0])
+        self.conditions.check_filling()
         u = z[:3] * SCALE
-        of_control = abs(move[self.control]) * SCALE[self.control] / max(abs(u[self.control]), 1e-3)
-        error = max(of_control, abs(move[3] * self.rate(z[3]) / self.value(z[3]))) / _SAFETY + _LEAST
+        error = self.relative(z, move) / _SAFETY + _LEAST
         ratio = float(field_ratio_squared(self.membrane.breakdown, u[0], u[0]) * u[2])
         return Place(z, tangent, volume, math.sqrt(max(ratio, 0.0)), self._fraction(u), error, self.conditions.filling)
 
@@ -249,13 +265,12 @@ def _between(system: System, one: Place, other: Place, function: typing.Any) -> 
     def value(s: float) -> float:
         if s not in known:
             guess = hermite(one.z, other.z, slopes[0], slopes[1], 1.0, s)
-            known[s] = system.meet(guess, chord, float(chord @ guess), one.tangent)
+            known[s] = system.meet(guess, chord, float(chord @ guess), one.tangent, finer=1)
         return float(function(known[s]))
 
     s = float(brentq(value, 0.0, 1.0, xtol=_PLACE))  # pyright: ignore[reportArgumentType]
     value(s)
-    rest = _PLACE * abs(chord[3] * system.rate(known[s].z[3]) / system.value(known[s].z[3]))
-    return known[s]._replace(error=known[s].error + rest)
+    return known[s]._replace(error=known[s].error + system.relative(known[s].z, _PLACE * chord))
 
 
 class Followed(typing.NamedTuple):

@@ -543,6 +543,8 @@ def test_flat_end_of_a_pressure_volume_curve(curve):
         (2.9582343078895965, 556.676718357814, 0.4923181131294612, 13.69559259, 0.49231811),
         # and one on which a finer grid once went over to another branch
         (1.0433649474478353, 973.3212420954831, (101.50689913134966, 1.4154875689869317), 19.26652270, 1.24919879),
+        # one whose first trace stops at t = 0.80, and whose points come to 0.90
+        (1.2987981894924407, 448.09374615143213, 0.913593481150794, 13.05, 0.91359348),
     ],
 )
 def test_branches_at_the_cliff_before_lock_up(prestretch, limit, loading, stretch, pressure):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import dielectric_jax as dj
+from dielectric_jax import fold_paths
 
 matplotlib.use("Agg")
 
@@ -124,6 +125,29 @@ def test_a_fold_at_breakdown_lies_on_both_curves(over_volume):
     )
     for p in (fold, broken):
         assert abs(np.sqrt(p.voltage_squared) / crossing.voltage - 1) < 1e-9
+
+
+def test_the_error_of_a_point_covers_its_parameter_and_its_load(over_pressure, monkeypatch):
+    """Against shots of 320 steps everywhere."""
+    monkeypatch.setattr(fold_paths, "_GRIDS", ((240.0, 320.0),) * 3)
+    scene, within = over_pressure.scene, (1.45, 1.47)
+    exact = dj.fold_curves(scene, "pressure", within, kinds=("fold",), samples=2)
+    assert [p.kind for p in exact.points] == ["merger"]
+    for other in exact.points:
+        point = min(over_pressure.points, key=lambda p: abs(p.parameter - other.parameter))
+        assert point.kind == other.kind and point.error_estimate < 1e-11
+        assert abs(point.parameter / other.parameter - 1) < point.error_estimate
+        assert abs((point.voltage / other.voltage) ** 2 - 1) < point.error_estimate
+
+
+@pytest.mark.parametrize("steps", [12.0, 24.0])
+def test_the_filling_is_of_the_grid_it_is_asked_for(steps):
+    """So what the coarser of two grids misses of the filling is in Newton's moves from one to the other."""
+    conditions = fold_paths.ConditionsOver(chamber(), "chamber_volume")
+    coarse, fine = (float(conditions.at(1600.0, s)[0].contour.initial_pressure) for s in (steps, 320.0))
+    held = dj.equilibrium(dj.Membrane(), voltage=0.0, volume=2.42, tolerance=1e-12)
+    assert abs(fine / float(held.pressure) - 1) < 1e-12
+    assert 1e-13 < abs(coarse / fine - 1) < 1e-3
 
 
 @pytest.mark.parametrize(
