@@ -61,6 +61,9 @@ def continue_scenes(scenes: Sequence[Scene], *, tolerance: float = 1e-8) -> Batc
     branches, which takes some tenths of a second, a scene of a known one milliseconds. What a lane's continuation does not decide has
     outcome `Outcome.unresolved`, NaN, and a `code`; `voltage_volume` decides it. Raises ValueError for bad input.
 
+    `tolerance` holds for p, V and q at their λa, so for every voltage. Where on its branch a fold lies is known less well, to 1e-4
+    of its volume at worst: its `error` counts that.
+
     >>> from dielectric_jax import Chamber, Membrane
     >>> film = Membrane()
     >>> batch = continue_scenes([Scene(film, Chamber(volume=v, initial_volume=2.42)) for v in (800.0, 1600.0)])

@@ -28,6 +28,7 @@ __all__ = ["Glance", "glance"]
 
 _MOST = 8  # folds, and places of breakdown, of a pressure–volume curve
 _NEWTON = 4
+_NOTHING = "The rows of the surface hold no state of this scene; voltage_volume and pressure_volume look farther."
 _NEAR = 0.05  # of λa: how far Newton's method may go from the spline's guess
 
 
@@ -116,7 +117,10 @@ def _filling(chamber: Chamber, surface: Surface) -> float:
         return float(chamber.initial_volume)
     volume = float(filling_volumes(surface, chamber.initial_pressure))
     if np.isnan(volume):
-        raise SceneError(Code.no_equilibrium)
+        at = f"`initial_pressure` = {float(typing.cast(float, chamber.initial_pressure)):g}"
+        raise SceneError(
+            Code.surface_edge, f"The surface does not tell which state at {at} fills the chamber; voltage_volume does."
+        )
     return volume
 
 
@@ -125,7 +129,7 @@ def _voltage_volume(scene: Scene, surface: Surface, curves: Curves, ramps: Ramps
     q = curves.voltage_squared
     branches = _branches(rows, q, curves.pressure, curves.volume, q)
     if not branches:
-        raise SceneError(Code.no_equilibrium)
+        raise SceneError(Code.surface_edge, _NOTHING)
     outcome = Outcome(int(ramps.outcome))
     marks = [("fold", ramps.folds), ("zero_voltage", ramps.zero_voltage), ("breakdown", ramps.breakdowns)]
     points = [p for kind, found in marks for p in _points(rows, kind, found, branches)]
@@ -260,7 +264,7 @@ def _pressure_volume(scene: Scene, surface: Surface, voltage: float) -> Glance:
     pressure, volume, *_ = map(np.asarray, _sheet(rows.surface, apex, q))
     branches = _branches(rows, q, pressure, volume, pressure)
     if not branches:
-        raise SceneError(Code.no_equilibrium)
+        raise SceneError(Code.surface_edge, _NOTHING)
     points = [p for k, b in enumerate(branches) if len(b) > 6 for p in _extremes(rows.surface, b, k)]
     kept = _Kept("pressure-volume", scene, branches, points, voltage)
     return kept.glance(events=(), outcome=None, regime=Regime.undetermined, area_strain=np.nan, several=False)

@@ -26,6 +26,7 @@ _MOST_ERROR = 1e-3  # the loosest tolerance: what is farther off is no state
 _FLATTEST = 4e-11  # of λa − λ0, and of λ0 − 1
 _WRINKLED = 1e-9  # hoop compression that is one: where it begins its sign is not told
 _CONE = 3e-4  # 1 − t up to which states are sought; folds towards the cone are a factor of 3.6 apart
+_NEAR_EXTREME = 1e-6  # of log p or log V: nearer to an extreme of a line the two states beside it have their own solve
 
 
 def check_request(points: int, tolerance: float) -> None:
@@ -133,7 +134,7 @@ def _filled_state(membrane: Membrane, quantity: str, wanted: float, tolerance: f
     apex, pressure, volume = _zero_load_line(membrane)
     value = np.log((pressure if quantity == "pressure" else volume) / wanted)
     crossing = np.flatnonzero(value[:-1] * value[1:] <= 0)
-    if len(crossing):
+    if len(crossing) and not _touches(value[: crossing[0] + 1]):
         guess = _crossing_state(apex, pressure, value, float(membrane.prestretch), int(crossing[0]))
         row = [[np.nan] * 3] if quantity == "volume" else [[0.0, 1.0, 0.0]]
         contour = ConstantVoltage(0.0).contour()
@@ -144,6 +145,13 @@ def _filled_state(membrane: Membrane, quantity: str, wanted: float, tolerance: f
         return equilibrium(membrane, voltage=0.0, tolerance=tolerance, **{quantity: wanted})  # pyright: ignore[reportArgumentType]
     except (SceneError, ValueError):
         return None
+
+
+def _touches(value: np.ndarray) -> bool:
+    """Whether a function may vanish between nodes that all have one sign: near a turn its nodes come as near as they change."""
+    change, inner = np.diff(np.abs(value)), np.abs(value[1:-1])
+    least = (change[:-1] <= 0) & (change[1:] >= 0)
+    return bool((least & (inner <= np.maximum(-change[:-1], change[1:]))).any())
 
 
 def too_flat(membrane: Membrane, quantity: str, wanted: float, q: float = 0.0) -> bool:
@@ -167,8 +175,7 @@ def _crossing_state(apex, pressure, value, prestretch: float, i: int) -> list:
 
 
 def _reach(membrane: Membrane, quantity: str) -> float:
-    _, pressure, volume = _zero_load_line(membrane)
-    return float(np.nanmax(pressure if quantity == "pressure" else volume))
+    return float(np.nanmax(_zero_load_line(membrane)[1 if quantity == "pressure" else 2]))
 
 
 def equilibrium(
@@ -324,11 +331,6 @@ def _towards_cones(membrane, q: float, apex: np.ndarray) -> np.ndarray:
     return np.unique(np.concatenate(more))
 
 
-_NEAR_EXTREME = (
-    1e-6  # of log p or log V: nearer to an extreme of the line the two states beside it have their own solve
-)
-
-
 def _starts(membrane, q, name, wanted, limits, surface=None) -> tuple[np.ndarray, list[tuple]]:
     """Guesses (3, n) for every state at load q with the wanted value, from a line of the chart; and near extremes.
 
@@ -349,8 +351,7 @@ def _starts(membrane, q, name, wanted, limits, surface=None) -> tuple[np.ndarray
     pressure, volume, slope = _line_states(membrane, apex[inside], fraction[inside], surface)
     apex = apex[inside]
     ok = (slope < 0) & np.isfinite(pressure) & np.isfinite(volume) & (pressure > 0) & (volume > 0)
-    rows = np.flatnonzero(inside)[ok]
-    apex, pressure, volume = apex[ok], pressure[ok], volume[ok]
+    apex, pressure, volume, rows = (v[ok] for v in (apex, pressure, volume, np.flatnonzero(inside)))
     if len(apex) < 2:
         return np.zeros((3, 0)), []
     if name == "apex_stretch":
@@ -359,8 +360,7 @@ def _starts(membrane, q, name, wanted, limits, surface=None) -> tuple[np.ndarray
         return (np.array([[apex[i]], [pressure[i]], [q]]) if there else np.zeros((3, 0))), []
     value = {"pressure": np.log(pressure / wanted), "volume": np.log(volume / wanted)}[name]
     joined = np.diff(rows) == 1
-    guesses: list[np.ndarray] = []
-    extremes: list[tuple] = []
+    guesses, extremes = list[np.ndarray](), list[tuple]()
     # a local extremum between nodes may hide a pair of states: the quintic through six neighbours knows its height
     for i in np.flatnonzero(np.diff(value)[:-1] * np.diff(value)[1:] < 0) + 1:
         first = min(max(i - 2, 0), len(value) - 6)

@@ -352,6 +352,23 @@ def test_points_lie_on_the_loading(diagram, chamber):
         np.testing.assert_allclose(branch.pressure, 1.2, rtol=1e-12)
 
 
+def test_a_filling_to_just_below_the_peak():
+    """The state before the peak fills the chamber, √(gap/c) before it; above it only the inflated state near lock-up does."""
+    peak, place = 1.908684829414, 2.9634068291
+
+    def start(gap):
+        scene = dj.Scene(dj.Membrane(), dj.Chamber(volume=1600.0, initial_pressure=peak * (1 - gap)))
+        up = [event for event in dj.voltage_volume(scene).events if event.direction == "up"]
+        assert up[0].event == "start" and abs(up[0].state.pressure / peak - 1 + gap) < 1e-10
+        return up[0].state.volume, up[1].event
+
+    (far, one), (near, other) = start(1e-6), start(1e-8)
+    assert one == other == "snap"
+    assert (place - far) / (place - near) == pytest.approx(10.0, rel=3e-3)
+    inflated, event = start(-1e-6)
+    assert inflated > 200 and event == "breakdown"
+
+
 def test_a_filling_by_pressure_is_the_filling_by_volume(chamber):
     scene = dj.Scene(dj.Membrane(), dj.Chamber(volume=1600.0, initial_pressure=1.886612680245))
     other = dj.voltage_volume(scene)
