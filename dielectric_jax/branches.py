@@ -167,7 +167,7 @@ def _name_end(code: Code, locks: bool, membrane: Membrane, u: np.ndarray) -> Cod
 
 def _long_enough(membrane, vertices) -> bool:
     shadow = _on_chart(membrane, vertices)
-    return len(vertices) > 2 and np.linalg.norm(np.diff(shadow, axis=0), axis=1).sum() > 0.02
+    return len(vertices) > 2 and bool(np.linalg.norm(np.diff(shadow, axis=0), axis=1).sum() > 0.02)
 
 
 def _dense(line, tangents) -> np.ndarray:

@@ -126,7 +126,8 @@ def test_domain_and_shapes(family):
     for inside in ((2.0, 0.0, 1.0), (11.6, 0.0, 3.0), (1.0001, 0.0, 1.0), (3.5, 0.0, 3.0)):
         assert bool(family.covers(*inside))
     state = family(jnp.full((40, 1), 4.0), 0.0, jnp.linspace(1, 3, 3))
-    assert state.volume.shape == (40, 3) and bool((state.volume[0] == state.volume[-1]).all())
+    # lanes of a vector and those left over may round apart
+    assert state.volume.shape == (40, 3) and np.allclose(state.volume, state.volume[0], rtol=1e-15, atol=0)
     assert family(jnp.zeros(0), 0.0, 1.0).volume.shape == (0,)
     each = jax.vmap(lambda rim: family(4.0, 0.0, rim).volume)(jnp.linspace(1, 3, 3))
     assert np.allclose(each, state.volume[0], rtol=1e-14)
