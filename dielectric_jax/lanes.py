@@ -76,15 +76,18 @@ def march_program(membrane, contour, limits, walk, peak, accuracy, tops, lengths
 
     def one_pass(state, _):
         walk, peak = state
+        before = walk
         walk, accept = jax.vmap(one)(material, membrane.prestretch, contour, limits, walk)
         apex, q = walk.base[:, 0] * SCALE[0], walk.base[:, 2] * SCALE[2]
         broken = accept & (q * field_ratio_squared(membrane.breakdown, apex, apex) > 1) & (q >= peak)
         code = jnp.where(broken, int(Code.breakdown), walk.code)
-        return (walk._replace(code=code), jnp.where(accept, jnp.maximum(peak, q), peak)), (
-            walk.base,
-            walk.tangent,
-            accept,
-        )
+        # a fold's load lies above those of its neighbours, and below the control points of the cubic between them
+        third = jnp.linalg.norm(walk.base - before.base, axis=1) / 3
+        rise, fall = third * before.tangent[:, 2], -third * walk.tangent[:, 2]
+        between = jnp.maximum(before.base[:, 2] + rise, walk.base[:, 2] + fall) * SCALE[2]
+        highest = jnp.where((rise > 0) & (fall > 0), jnp.maximum(between, q), q)
+        peak = jnp.where(accept, jnp.maximum(peak, highest), peak)
+        return (walk._replace(code=code), peak), (walk.base, walk.tangent, accept)
 
     (walk, peak), passed = jax.lax.scan(one_pass, (walk, peak), length=_PASSES)
     return tuple(walk), peak, passed
