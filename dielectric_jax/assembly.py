@@ -162,7 +162,11 @@ def assemble(crowd: Crowd, owner: np.ndarray, lines: Polylines, tolerance: float
     with np.errstate(all="ignore"):
         far = np.abs(met.volume_rate / (met.tangent[:, 2] * SCALE[2])) * vague / np.maximum(np.abs(met.volume), 1e-3)
     met = met._replace(spread=np.where(sets == 1, 0.0, far))
-    events = Events(places.line, places.position, met, belongs)
+    # in the order of the states met: beside each other their guesses on the cubic may be in another
+    begin, chord = (lines.points[places.line, places.interval + k] for k in (0, 1))
+    chord = chord - begin
+    share = ((met.u / SCALE - begin) * chord).sum(axis=1) / (chord**2).sum(axis=1)
+    events = Events(places.line, places.interval + np.clip(share, 0.0, 1.0), met, belongs)
     kept = [events.take(np.flatnonzero(met.ok & (sets == k))) for k in range(3)]
     kept[0].met.u[:, 2] = 0.0
     return Assembly(lines, folds, kept[0], kept[1], kept[2], doubt)

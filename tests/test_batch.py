@@ -127,6 +127,20 @@ def test_single_diagrams_of_random_scenes():
         np.testing.assert_allclose(finite(ramps.snap.voltage[i]), snaps, rtol=1e-8)
 
 
+def test_landings_about_breakdown_are_decided():
+    """From V_C = 250 to 480 snaps land beyond breakdown, then about it, then below: E/E_EB there falls through 1."""
+    volumes = [270.95, 288.39, 406.38, 454.19, 467.87, 468.14]
+    scenes = [chamber(volume, 2.42) for volume in volumes]
+    ramps = continue_scenes(scenes).ramps
+    expected = [Outcome.breakdown_in_snap] * 4 + [Outcome.breakdown_on_branch] * 2
+    assert list(ramps.outcome) == expected
+    for i in (2, 5):
+        ramp = dj.voltage_volume(scenes[i]).ramp()
+        (landing,) = [e.state for e in ramp.events if e.event == "landing" and e.direction == "up"]
+        assert (landing.breakdown_ratio > 1) == (expected[i] == Outcome.breakdown_in_snap)
+        assert abs(ramps.landing.volume[i, 0] / landing.volume - 1) < 1e-9
+
+
 def test_every_kind_of_chamber_and_breakdown_law():
     """Filling given by a pressure, a polytropic gas, thin outside air, a user's breakdown law: as single diagrams tell."""
     strong = dj.Membrane(breakdown=dj.CustomBreakdown(lambda stretch: 1.2 * stretch**0.9))
