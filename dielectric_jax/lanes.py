@@ -64,7 +64,7 @@ def new_walks(u: np.ndarray, headings: np.ndarray) -> Walk:
 
 @kept_jit
 def march_program(membrane, contour, limits, walk, peak, accuracy, tops, lengths):
-    """Walks after a few passes, the highest q on them, and after every pass: base, tangent, and whether it is new.
+    """Walks after a few passes, a bound of the highest q on them, and after every pass: base, tangent, and whether it is new.
 
     A walk ends with `Code.breakdown` beyond breakdown at the apex, at a load higher than any before on it.
     """
