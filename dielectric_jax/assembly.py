@@ -1,14 +1,16 @@
 """From traced lines of many scenes to their special points and ramps."""
 
 import dataclasses
+import typing
 
 import numpy as np
 
 from .crowd import Crowd, Met
-from .ensemble import Outcome
 from .equilibria import SCALE
 from .lanes import BREAKDOWN, LEVEL
+from .outcomes import FoldAhead, Outcome
 from .polylines import Places, Polylines
+from .scene import SCANNED_LOAD
 
 __all__ = ["Assembly", "Events", "assemble", "tell_ramps"]
 
@@ -187,7 +189,6 @@ class Assembly:
 _EVENTS = 11  # start, two snaps, two landings, breakdown, two snap-backs and their two landings, rest
 _SNAPS = 2
 _AMBIGUOUS = 1e-6  # a landing this near to breakdown is not told
-_SWING = 0.5  # of the first swing: by so much do all later ones stay below it
 _SPECIAL = (6, 5, 3)  # folds, zeros, breakdowns that are told
 
 
@@ -227,13 +228,17 @@ class _Lists:
 
 
 class _Ramp:
-    """The way up and down of one scene over the events of its lines."""
+    """The way up and down of one scene over the events of its lines.
 
-    def __init__(self, of: Assembly, lists: _Lists, main: int, breakdown_load, cone: bool):
-        self.of, self.lists, self.breakdown_load = of, lists, breakdown_load
-        self.main, self.cone = main, cone
+    `limits` are those of the membrane at the crossings, see `Crowd.limits`; `ends_in` is the fold of the last snap.
+    """
+
+    def __init__(self, of: Assembly, lists: _Lists, main: int, limits: np.ndarray):
+        self.of, self.lists, self.limits = of, lists, limits
+        self.main = main
         self.told = np.full((5, _EVENTS), np.nan)
         self.snaps = 0
+        self.broken_at: int | None = None
 
     def next(self, kind: str, line: int, position: float, side: int):
         """The next event of a kind along a line, or None: its index."""
@@ -252,25 +257,10 @@ class _Ramp:
         found = [
             (way * (crossings.met.volume[i] - met.volume[fold]), i)
             for i in self.lists.of_fold.get(fold, ())
-            if crossings.met.index[i] == 0
+            if crossings.met.index[i] == 0 and crossings.met.u[i, 2] <= SCANNED_LOAD * self.limits[2, i]
         ]
         found = [f for f in found if f[0] > 0]
         return min(found)[1] if found else None
-
-    def calms_below(self, line: int, fold: int, side: int) -> bool:
-        """Whether the line, which ends near the cone, no longer swings up to the load of a fold.
-
-        Towards the cone q swings about a limit, each swing a small share of the one before.
-        """
-        folds, load = self.of.folds, self.of.folds.met.u[fold, 2]
-        further = [
-            i for i in self.lists.on_line["folds"][line] if side * (folds.position[i] - folds.position[fold]) > 0
-        ]
-        if not self.cone or not further:
-            return False
-        loads = folds.met.u[further, 2]
-        last = self.of.lines.points[line, self.of.lines.count[line] - 1, 2] * SCALE[2]
-        return max(loads.max(), last) < load - _SWING * (load - loads.min())
 
     def tell(self, column: int, kind: str, i: int) -> None:
         self.told[:, column] = self.lists.values[kind][i]
@@ -285,6 +275,7 @@ class _Ramp:
             at = [side * e.position[i] if i is not None else np.inf for e, i in ((of.folds, fold), (of.breaks, broken))]
             if broken is not None and at[1] < at[0]:
                 self.tell(5, "breaks", broken)
+                self.broken_at = broken
                 return self.down(line, position, side)
             if stage == _SNAPS or fold is None:
                 return Outcome.unresolved
@@ -292,9 +283,9 @@ class _Ramp:
             self.snaps += 1
             landing = self.land(fold, side)
             if landing is None:
-                return Outcome.no_unbroken_landing if self.calms_below(line, fold, side) else Outcome.unresolved
+                return Outcome.no_landing  # on this line
             self.tell(3 + stage, "crossings", landing)
-            load, limit = of.folds.met.u[fold, 2], self.breakdown_load(landing)
+            load, limit = of.folds.met.u[fold, 2], self.limits[0, landing]
             if abs(load - limit) <= _AMBIGUOUS * limit:
                 return Outcome.unresolved
             if load >= limit:
@@ -329,31 +320,55 @@ class _Ramp:
             side = 1 if of.crossings.met.tangent[landing, 2] > 0 else -1
         return Outcome.unresolved
 
+    def fold_ahead(self, fractions: np.ndarray, left: bool) -> FoldAhead:
+        """Whether the line of a ramp that breaks without a snap has a fold further on, in the scanned window."""
+        if self.broken_at is None or self.snaps:
+            return FoldAhead.unknown
+        fold = self.next("folds", self.main, float(self.of.breaks.position[self.broken_at]), 1)
+        if fold is None:
+            return FoldAhead.none if left else FoldAhead.unknown
+        return FoldAhead.fold if fractions[fold] <= SCANNED_LOAD else FoldAhead.none
 
-def tell_ramps(of: Assembly, start: Met, breakdown_loads: np.ndarray, complete, alone, cone):
-    """Columns of `ensemble.ramps_of` for scenes whose branch from the start is line 0, 1, …
 
-    `breakdown_loads` are q_b at the crossings, `complete` says of which scenes the line is known, `alone` where no other
-    branch lies below breakdown, `cone` whose line ends near the cone.
+class Told(typing.NamedTuple):
+    """The columns of `ensemble.ramps_of` for many scenes, as far as their own lines show."""
+
+    events: np.ndarray
+    folds: np.ndarray
+    zeros: np.ndarray
+    breaks: np.ndarray
+    snaps: np.ndarray
+    outcome: np.ndarray
+    ahead: np.ndarray
+
+
+def tell_ramps(crowd: Crowd, owner: np.ndarray, of: Assembly, start: Met, left: np.ndarray) -> Told:
+    """What the lines of scenes say of their ramps; the branch from the start of scene k is line k.
+
+    `no_landing` means that no line of the scene has a landing. `left` says of which scenes the line ends where it leaves
+    the window.
     """
-    scenes, lists, begin = len(complete), _Lists(of), _values(start)
+    scenes, lists, begin = len(left), _Lists(of), _values(start)
     told = np.full((scenes, 5, _EVENTS), np.nan)
     outcome, snaps = np.full(scenes, int(Outcome.unresolved)), np.zeros(scenes, int)
+    ahead = np.full(scenes, int(FoldAhead.unknown))
     stable = start.ok & (start.index == 0)
     unstable = start.ok & ~stable
     outcome[unstable], told[unstable, :, 0] = int(Outcome.start_unstable), begin[unstable]
-    for k in np.flatnonzero(stable).tolist():
-        ramp = _Ramp(of, lists, k, lambda i: breakdown_loads[i], bool(cone[k]))
+    limits = crowd.limits(of.crossings.met.u[:, 0], owner[of.crossings.line])
+    fractions = of.folds.met.u[:, 2] / crowd.limits(of.folds.met.u[:, 0], owner[of.folds.line])[2]
+    for k in np.flatnonzero(stable & ~of.doubt[:scenes]).tolist():
+        ramp = _Ramp(of, lists, k, limits)
         ramp.told[:, 0] = begin[k]
         ended = ramp.up()
-        # a state on another branch may be where a snap lands
-        if complete[k] and (alone[k] or not ramp.snaps) and ended is not Outcome.unresolved:
+        if ended is not Outcome.unresolved:
             told[k], outcome[k], snaps[k] = ramp.told, int(ended), ramp.snaps
+            ahead[k] = int(ramp.fold_ahead(fractions, bool(left[k])))
     begin = np.where(stable[:, None], begin, np.nan)
     marks = [
         _along_lines(events, begin if events is of.zeros else None, scenes, count)
         for events, count in zip((of.folds, of.zeros, of.breaks), _SPECIAL, strict=True)
     ]
-    for mark in marks:  # of scenes that begin unstable only the start is told
+    for mark in marks:  # where the start is unstable only the start is known
         mark[~stable] = np.nan
-    return told, *marks, snaps, outcome
+    return Told(told, *marks, snaps, outcome, ahead)

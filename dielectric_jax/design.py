@@ -16,11 +16,10 @@ from .climbing import NEAR, Climb, Wishes, axis_of, inwards, scan_designs
 from .design_points import Kind, begin_of
 from .designs import classify_designs, surface_for
 from .diagram import Diagram, voltage_volume
-from .ensemble import Outcome
 from .family import SurfaceFamily
+from .outcomes import Outcome, Regime
 from .records import plain
 from .regime_maps import even
-from .regimes import Regime
 from .scenarios import scenarios_of
 from .scene import PARAMETERS, Scene, describe
 from .surface import Surface
