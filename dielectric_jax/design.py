@@ -178,7 +178,7 @@ def _seeds(strain: np.ndarray, nominal, counts, wishes: Wishes) -> list[int]:
     )
     best = []
     for snaps in (0, 1, 2):
-        for regime in (Regime.no_snap, Regime.breaks_before_snap, Regime.stays, Regime.returns):
+        for regime in (Regime.no_snap, Regime.breaks_before_snap, Regime.stays, Regime.returns, Regime.not_decided):
             own = np.isfinite(strain) & (ramps.snaps == snaps) & (nominal.regime == int(regime))
             for part in _parts(own, counts):
                 best.append((-strain[part].max(), int(part[np.argmax(strain[part])])))
