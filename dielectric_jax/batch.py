@@ -16,7 +16,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from .assembly import Told, assemble, tell_ramps
-from .beyond import Landing, landings
+from .beyond import Landing, folds_ahead, landings
 from .chart import map_nodes, stretch_shares
 from .crowd import LANES, Crowd, Met, calls, padded, pick
 from .ensemble import Ramps, ramps_of
@@ -25,7 +25,7 @@ from .lanes import LEVEL, VOLUME, march_program, new_walks
 from .loading import Chamber, ConstantPressure, ConstantVoltage, Contour
 from .membrane import Membrane
 from .other_branches import have_others
-from .outcomes import Outcome
+from .outcomes import FoldAhead, Outcome
 from .polylines import Polylines
 from .programs import cores
 from .results import Code
@@ -402,5 +402,10 @@ def _settle(
             open_[np.flatnonzero(landing)[rest[lost]]] = True
         none = (found.kind == Landing.none) & (outcome[ends] == Outcome.breakdown_in_snap)
         open_[np.flatnonzero(landing)[none]] = True  # two ways that contradict each other
+    breaks = own[(outcome[own] == Outcome.breakdown_on_branch) & (snaps[own] == 0)]
+    breaks = breaks[told.ahead[breaks] == FoldAhead.unknown]
+    if len(breaks):
+        at = events[breaks, 0, 5], events[breaks, 3, 5]
+        told.ahead[breaks] = folds_ahead(membrane, pick(crowd.contour, breaks), *at)
     lanes = own[open_]
     events[lanes], snaps[lanes], outcome[lanes] = np.nan, 0, Outcome.unresolved

@@ -13,7 +13,7 @@ import typing
 import numpy as np
 
 from .chart import Scan, cached_scan
-from .crowd import Crowd, pick
+from .crowd import Crowd, Met, pick
 from .lanes import LEVEL
 from .loading import ConstantVoltage, Contour
 from .membrane import Membrane
@@ -27,10 +27,11 @@ _EVERY = 2  # row of the scan is enough for contours
 _NODES = 4  # of the polynomial along the load
 _NOISE = 1e-5  # of the pressure: what the interpolated scan leaves unclear, ten times its largest error
 _ABOUT = 0.02  # of the breakdown load: a landing this near to it is settled by an exact state
-_LOST = 64  # lanes that are looked at together, in the cache
+_TOGETHER = 64  # lanes that are looked at together, in the cache
 _TOLERANCE = 1e-9
 _REACH = 0.3  # in scaled unknowns, from where the scan shows a landing to the exact one
 _LEAP = 0.12  # of t between rows: further apart two crossings are not one contour
+_SETTLED = 1e-4  # of t, the last step to a crossing
 _FALL = 1e-4  # of a load: a maximum by which it falls again is a fold
 _TURNING = 0.2  # of the rise before: a contour that leaves the window more slowly may turn outside
 
@@ -143,7 +144,7 @@ def _side(value: np.ndarray, noise) -> np.ndarray:
         return np.where(value > noise, 1, np.where(value < -noise, -1, 0))
 
 
-def _clear(line: _Line, field: _Field) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _clear(line: _Line, field: _Field, apex: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Whether the line shows clearly where the membrane lands: (clear, lands, λa and p there).
 
     Beyond the fold the pressure of the membrane falls behind that of the gas, and the membrane grows until it no longer
@@ -153,7 +154,7 @@ def _clear(line: _Line, field: _Field) -> tuple[np.ndarray, np.ndarray, np.ndarr
     at = np.arange(count)
     side = np.where(line.inside, _side(line.residual, line.noise), 0)
     edge = _side(line.edge, np.nan_to_num(np.maximum(line.noise[:, :-1], line.noise[:, 1:])))
-    first, any_inside = _first(line.inside)
+    first, _ = _first(field.apex > apex[:, None])
     stop, ends = _first((at >= first[:, None]) & ~line.inside)
     stop = np.where(ends, stop, count)
     here = (at >= first[:, None]) & (at < stop[:, None])
@@ -163,6 +164,8 @@ def _clear(line: _Line, field: _Field) -> tuple[np.ndarray, np.ndarray, np.ndarr
     last = np.maximum(stop - 1, 0)
     own = np.arange(lanes)
     at_edge = np.where(stop < count, edge[own, np.minimum(last, count - 2)], -1)
+    outside = stop == first  # the fold lies at the edge of the window, or beyond it
+    at_edge = np.where(outside, -1, at_edge)
     lands = rises | (~rises & falls & (at_edge > 0))
     end = np.where(rises, rose, last)
     way = (at >= first[:, None]) & (at <= end[:, None])
@@ -178,12 +181,13 @@ def _clear(line: _Line, field: _Field) -> tuple[np.ndarray, np.ndarray, np.ndarr
     lowest = count - 1 - np.argmax((below & (at <= end[:, None]))[:, ::-1], axis=1)
     touching = (way & (side == 0) & (at > fell[:, None]) & (at < lowest[:, None])).any(axis=1)
     before = (here & (side > 0) & (at < fell[:, None])).any(axis=1)
-    # what lies beyond a gap in which the load exceeds the window's
+    # beyond a gap in which the load exceeds the window's nothing rises through zero where all is of one sign
     later = line.inside & (at >= stop[:, None])
     later_edges = np.isfinite(line.edge) & (at[:-1] >= stop[:, None])
-    again = (later & (side >= 0)).any(axis=1) | (later_edges & (edge >= 0)).any(axis=1)
-    clear = any_inside & falls & ~before & ~touching & ~down.any(axis=1) & ~up.any(axis=1)
-    clear &= lands | ((at_edge < 0) & ~again)
+    above = (later & (side >= 0)).any(axis=1) | (later_edges & (edge >= 0)).any(axis=1)
+    below_it = (later & (side <= 0)).any(axis=1) | (later_edges & (edge <= 0)).any(axis=1)
+    one_way = falls & ~before & ~touching & ~down.any(axis=1) & ~up.any(axis=1)
+    clear = (one_way | outside) & (lands | ((at_edge < 0) & ~(above & below_it)))
     # where
     one = np.clip(end - 1, 0, count - 1)
     r0, r1 = line.residual[own, one], line.residual[own, end]
@@ -224,25 +228,13 @@ def _candidates(line: _Line, field: _Field, k: int) -> tuple[np.ndarray, bool]:
     return np.reshape(found, (-1, 2)), vague
 
 
-def _exact(crowd: Crowd, lane: int, candidates: np.ndarray, load: float, volume: float, vague: bool):
-    """The stable landing nearest in volume among exact states: (known, row of λa, p, V, q, error, or None)."""
-    if not len(candidates):
-        return not vague, None
-    count = len(candidates)
-    u = np.column_stack([candidates, np.full(count, load)])
-    rows, kinds = np.tile([0.0, 0.0, 1.0], (count, 1)), np.full(count, LEVEL)
-    which = np.full(count, lane)
-    met = crowd.meet(which, u, rows, np.full(count, load), kinds, tolerance=_TOLERANCE, reach=_REACH)
-    if not met.ok.all():
-        return False, None
-    fraction = met.u[:, 2] / crowd.limits(met.u[:, 0], which)[2]
+def _nearest(met: Met, fraction: np.ndarray, volume: float) -> np.ndarray | None:
+    """λa, p, V, q, error of the stable state in the window nearest in volume above `volume`; None where there is none."""
     good = np.flatnonzero((met.index == 0) & (met.volume > volume) & (fraction <= SCANNED_LOAD))
-    if vague:
-        return False, None
     if not len(good):
-        return True, None
+        return None
     i = good[np.argmin(met.volume[good])]
-    return True, np.array([met.u[i, 0], met.u[i, 1], met.volume[i], met.u[i, 2], max(met.error[i], met.spread[i])])
+    return np.array([met.u[i, 0], met.u[i, 1], met.volume[i], met.u[i, 2], max(met.error[i], met.spread[i])])
 
 
 def landings(crowd: Crowd, membrane: Membrane, which: np.ndarray, folds: np.ndarray, *, exact: bool) -> Landings:
@@ -252,41 +244,57 @@ def landings(crowd: Crowd, membrane: Membrane, which: np.ndarray, folds: np.ndar
     landing is located by shooting; else only those that the scan does not show clearly.
     """
     count = len(which)
-    kind, state, guess = np.zeros(count, int), np.full((count, 5), np.nan), np.full((count, 2), np.nan)
-    field = _field_of(membrane) if count else None
-    for i in range(0, count, _LOST):
-        part = np.arange(i, min(i + _LOST, count))
-        assert field is not None
+    found = Landings(np.zeros(count, int), np.full((count, 5), np.nan), np.full((count, 2), np.nan))
+    field = _field_of(membrane)
+    seeds: list[tuple[int, np.ndarray]] = []  # of the snaps that exact states settle
+    for i in range(0, count, _TOGETHER):
+        part = np.arange(i, min(i + _TOGETHER, count))
         line = _line(field, pick(crowd.contour, which[part]), folds[part, 0], folds[part, 3])
-        clear, lands, guess[part] = _clear(line, field)
-        breaks = np.full(len(part), np.nan)
-        there = np.flatnonzero(clear & lands)
-        if len(there):
-            breaks[there] = crowd.limits(guess[part[there], 0], which[part[there]])[0]
-        with np.errstate(invalid="ignore"):
-            ratio = folds[part, 3] / breaks
-            apart = np.abs(ratio - 1) > _ABOUT
-        kind[part] = np.where(
-            clear & ~lands,
-            Landing.none,
-            np.where(clear & apart, np.where(ratio > 1, Landing.broken, Landing.unbroken), 0),
-        )
-        for k in np.flatnonzero((kind[part] == Landing.unknown) | (exact & lands)):
-            lane, fold = int(which[part[k]]), folds[part[k]]
-            if clear[k]:
-                candidates, vague = guess[part[k]][None], False
-            else:
-                candidates, vague = _candidates(line, field, k)
-            known, found = _exact(crowd, lane, candidates, float(fold[3]), float(fold[2]), vague)
-            if not known:
-                continue
-            if found is None:
-                kind[part[k]] = Landing.none if not clear[k] else Landing.unknown
-                continue
-            state[part[k]] = found
-            limit = crowd.limits(found[:1], np.array([lane]))[0, 0]
-            kind[part[k]] = Landing.broken if fold[3] >= limit else Landing.unbroken
-    return Landings(kind, state, guess)
+        clear, lands, found.guess[part] = _clear(line, field, folds[part, 0])
+        found.kind[part[clear & ~lands]] = Landing.none
+        for k in np.flatnonzero(~clear | (exact & lands)):
+            candidates, vague = (found.guess[part[k]][None], False) if clear[k] else _candidates(line, field, k)
+            if not vague:
+                seeds.append((int(part[k]), candidates))
+        found.kind[part] = np.where(clear & lands, Landing.broken, found.kind[part])
+    there = np.flatnonzero(found.kind == Landing.broken)
+    if len(there):
+        ratio = folds[there, 3] / crowd.limits(found.guess[there, 0], which[there])[0]
+        found.kind[there[ratio < 1]] = Landing.unbroken
+        about = np.abs(ratio - 1) < _ABOUT
+        found.kind[there[about]] = Landing.unknown
+        known = {k for k, _ in seeds}
+        seeds += [(int(k), found.guess[k][None]) for k in there[about] if int(k) not in known]
+    _settle_by_states(crowd, which, folds, seeds, found)
+    return found
+
+
+def _settle_by_states(crowd: Crowd, which, folds, seeds: list[tuple[int, np.ndarray]], found: Landings) -> None:
+    """Settles in place the landings of snaps by exact states at the candidates (λa, p) of each."""
+    snap = np.repeat([k for k, _ in seeds], [len(c) for _, c in seeds]).astype(int)
+    if len(snap):
+        load, lanes = folds[snap, 3], which[snap]
+        u = np.column_stack([np.concatenate([c for _, c in seeds]), load])
+        rows, kinds = np.tile([0.0, 0.0, 1.0], (len(snap), 1)), np.full(len(snap), LEVEL)
+        met = crowd.meet(lanes, u, rows, load, kinds, tolerance=_TOLERANCE, reach=_REACH)
+        limits = crowd.limits(np.nan_to_num(met.u[:, 0], nan=2.0), lanes)
+        fraction = load / limits[2]
+    for k, candidates in seeds:
+        own = np.flatnonzero(snap == k)
+        if not len(candidates):
+            found.kind[k] = Landing.none
+            continue
+        state = None
+        if met.ok[own].all():
+            state = _nearest(Met(*(v[own] for v in met)), fraction[own], float(folds[k, 2]))
+        if state is None:
+            # a clear landing whose state is another is a contradiction
+            certain = met.ok[own].all() and not np.isfinite(found.guess[k, 0])
+            found.kind[k] = Landing.none if certain else Landing.unknown
+            continue
+        found.state[k] = state
+        limit = crowd.limits(state[:1], which[k : k + 1])[0, 0]
+        found.kind[k] = Landing.broken if folds[k, 3] >= limit else Landing.unbroken
 
 
 def folds_ahead(membrane: Membrane, contour: Contour, apex: np.ndarray, load: np.ndarray) -> np.ndarray:
@@ -298,58 +306,65 @@ def folds_ahead(membrane: Membrane, contour: Contour, apex: np.ndarray, load: np
     field = _field_of(membrane)
     answer = np.full(len(apex), int(FoldAhead.unknown))
     going = np.flatnonzero(np.isfinite(apex) & np.isfinite(load))
-    limit = np.interp(apex, field.apex, field.limit)
-    t, q, a = load / limit, load.copy(), apex.copy()
+    walk = _Walk(apex.copy(), load / np.interp(apex, field.apex, field.limit), load.copy(), np.zeros(len(apex)))
     rise, doubt = np.full(len(apex), np.nan), np.zeros(len(apex), bool)
     for row in range(len(field.apex)):
-        new = going[field.apex[row] > apex[going]]
+        new = going[field.apex[row] > walk.apex[going]]
         if not len(new):
             continue
-        found, slope_ok = _crossing(field, pick(contour, new), row, t[new], q[new])
+        stretch = field.apex[row] - walk.apex[new]
+        guess = walk.fraction[new] + walk.slope[new] * stretch
+        found, settled = _crossing(field, pick(contour, new), row, guess, walk.load[new])
         here = found * field.limit[row]
-        stretch = field.apex[row] - a[new]
         with np.errstate(all="ignore"):
-            per = (here - q[new]) / stretch
-            leaves = slope_ok & (found > SCANNED_LOAD)
-            lost = ~slope_ok | ~(np.abs(found - t[new]) < _LEAP)
-            falls = here < q[new] * (1 - _FALL)
-            slow = ~falls & (here < q[new] * (1 + _FALL)) & (stretch > 1e-3)
+            per = (here - walk.load[new]) / stretch
+            lost = ~settled | ~(np.abs(found - walk.fraction[new]) < _LEAP)
+            leaves = ~lost & (found > SCANNED_LOAD)
+            falls = ~lost & ~leaves & (here < walk.load[new] * (1 - _FALL))
             turning = leaves & ~(per > _TURNING * rise[new])
-        doubt[new] |= slow
-        ends = lost | leaves | falls
-        verdict = np.where(
-            falls & ~lost & ~leaves, FoldAhead.fold, np.where(leaves & ~lost & ~turning, FoldAhead.none, 0)
-        )
-        answer[new[ends]] = np.where(doubt[new[ends]], FoldAhead.unknown, verdict[ends])
-        keep = ~ends
-        t[new[keep]], q[new[keep]], a[new[keep]] = found[keep], here[keep], field.apex[row]
-        rise[new[keep]] = per[keep]
-        going = np.setdiff1d(going, new[ends], assume_unique=True)
+            doubt[new] |= ~lost & ~falls & (here < walk.load[new] * (1 + _FALL)) & (stretch > 1e-3)
+        sure = ~doubt[new] & ~turning
+        answer[new[falls & ~doubt[new]]] = FoldAhead.fold
+        answer[new[leaves & sure]] = FoldAhead.none
+        keep = ~(lost | leaves | falls)
+        walk.slope[new[keep]] = (found[keep] - walk.fraction[new[keep]]) / stretch[keep]
+        walk.fraction[new[keep]], walk.load[new[keep]] = found[keep], here[keep]
+        walk.apex[new[keep]], rise[new[keep]] = field.apex[row], per[keep]
+        going = np.setdiff1d(going, new[~keep], assume_unique=True)
         if not len(going):
             break
-    answer[going] = np.where(doubt[going], FoldAhead.unknown, FoldAhead.none)
+    answer[going[~doubt[going]]] = FoldAhead.none
     return answer
 
 
+class _Walk(typing.NamedTuple):
+    """Where branches are under way: λa, t, q and dt/dλa, arrays (lanes,)."""
+
+    apex: np.ndarray
+    fraction: np.ndarray
+    load: np.ndarray
+    slope: np.ndarray
+
+
 def _crossing(field: _Field, contour: Contour, row: int, t: np.ndarray, q: np.ndarray):
-    """t at which contours (lanes,) cross a row near the load fractions t, by two chord steps; and whether they do."""
+    """t at which contours (lanes,) cross a row near the load fractions t, by three chord steps; and whether they do."""
     rows = np.full(len(t), row)
-    h = np.where(t > 0.5, -1e-3, 1e-3)
 
     def residual(t):
         # a little beyond the window the last polynomial goes on
-        p, v = field.at(rows, np.minimum(t, SCANNED_LOAD))
+        p, v = field.at(rows, np.clip(t, -0.9, SCANNED_LOAD))
         return contour.residual(p, v, q) / p
 
     begin = np.clip(t, -0.9, SCANNED_LOAD - 2e-3)
+    h = np.where(begin > 0.5, -1e-3, 1e-3)
     value = residual(begin)
     with np.errstate(all="ignore"):
         slope = (residual(begin + h) - value) / h
-        one = begin - value / slope
-        inner = np.clip(one, -0.9, SCANNED_LOAD - 2e-3)
-        again = residual(inner)
-        slope = np.where(np.abs(inner - begin) > 1e-4, (again - value) / (inner - begin), slope)
-        found = inner - again / slope
-        last = residual(np.clip(found, -0.9, SCANNED_LOAD))
-        settled = np.isfinite(found) & ((np.abs(last) < 20 * _NOISE) | (found > SCANNED_LOAD))
+        one = np.clip(begin - value / slope, -0.9, SCANNED_LOAD)
+        again = residual(one)
+        slope = np.where(np.abs(one - begin) > 1e-4, (again - value) / (one - begin), slope)
+        two = one - again / slope
+        last = residual(two)
+        found = np.where(two > SCANNED_LOAD, two, two - last / slope)
+        settled = np.isfinite(found) & ((np.abs(last / slope) < _SETTLED) | (two > SCANNED_LOAD))
     return found, settled
