@@ -205,27 +205,39 @@ def _clear(line: _Line, field: _Field, apex: np.ndarray) -> tuple[np.ndarray, np
 
 def _candidates(line: _Line, field: _Field, k: int) -> tuple[np.ndarray, bool]:
     """(λa, p) of every rising crossing of a line, and whether it may have more than those, within the noise."""
-    found, vague = [], False
+    found = []
     residual, noise, inside = line.residual[k], line.noise[k], line.inside[k]
     for i in range(len(residual) - 1):
         if inside[i] and inside[i + 1] and residual[i] < 0 <= residual[i + 1]:
-            share = residual[i] / (residual[i] - residual[i + 1])
-            values = (field.apex, line.pressure[k])
-            found.append([v[i] + share * (v[i + 1] - v[i]) for v in values])
+            found.append(_between(field, line, k, i))
         elif np.isfinite(line.edge[k, i]) and (inside[i] or inside[i + 1]):
             row = i if inside[i] else i + 1
             rising = (residual[row] < noise[row]) if inside[i] else (residual[row] > -noise[row])
             rising &= (line.edge[k, i] > -noise[row]) if inside[i] else (line.edge[k, i] < noise[row])
             if rising:
                 found.append([line.edge_apex[k, i], line.pressure[k, row]])
-    beside = np.abs(residual) < noise
-    inner = inside[:-2] & inside[1:-1] & inside[2:] & beside[1:-1]
+    inner = inside[:-2] & inside[1:-1] & inside[2:] & (np.abs(residual) < noise)[1:-1]
     with np.errstate(invalid="ignore"):
         turns = (residual[1:-1] - residual[:-2]) * (residual[2:] - residual[1:-1]) < 0
-    fold = np.flatnonzero(inside)[:3] if inside.any() else np.array([], int)
-    touches = np.setdiff1d(np.flatnonzero(inner & turns) + 1, fold)
-    vague = bool(len(touches))
-    return np.reshape(found, (-1, 2)), vague
+    beside_fold = np.flatnonzero(inside)[:3]
+    touches = np.setdiff1d(np.flatnonzero(inner & turns) + 1, beside_fold)
+    return np.reshape(found, (-1, 2)), bool(len(touches))
+
+
+def _between(field: _Field, line: _Line, k: int, i: int) -> list[float]:
+    """(λa, p) where a line crosses zero between rows i and i + 1, by the cubic through four rows, by two where it ends."""
+    rows = np.arange(max(i - 1, 0), min(i + 3, len(field.apex)))
+    if len(rows) < 4 or not line.inside[k, rows].all():
+        rows = np.array([i, i + 1])
+    apex, logs = field.apex[rows], np.log(line.pressure[k, rows])
+    # p falls by half within a hundredth of the stretch towards lock-up: the residual relative to it is the smoother
+    relative = line.residual[k, rows] / line.pressure[k, rows]
+    shape = [np.polynomial.Polynomial.fit(apex, values, len(rows) - 1) for values in (relative, logs)]
+    low, high = field.apex[i], field.apex[i + 1]
+    for _ in range(40):
+        middle = (low + high) / 2
+        low, high = (middle, high) if shape[0](middle) < 0 else (low, middle)
+    return [low, float(np.exp(shape[1](low)))]
 
 
 def _nearest(met: Met, fraction: np.ndarray, volume: float) -> np.ndarray | None:
@@ -277,6 +289,13 @@ def _settle_by_states(crowd: Crowd, which, folds, seeds: list[tuple[int, np.ndar
         u = np.column_stack([np.concatenate([c for _, c in seeds]), load])
         rows, kinds = np.tile([0.0, 0.0, 1.0], (len(snap), 1)), np.full(len(snap), LEVEL)
         met = crowd.meet(lanes, u, rows, load, kinds, tolerance=_TOLERANCE, reach=_REACH)
+        again = np.flatnonzero(~met.ok)  # once more from where Newton was
+        if len(again):
+            begin = np.where(np.isfinite(met.u[again]), met.u[again], u[again])
+            given = begin, rows[again], load[again], kinds[again]
+            second = crowd.meet(lanes[again], *given, tolerance=_TOLERANCE, reach=_REACH)
+            for store, values in zip(met, second, strict=True):
+                store[again] = values
         limits = crowd.limits(np.nan_to_num(met.u[:, 0], nan=2.0), lanes)
         fraction = load / limits[2]
     for k, candidates in seeds:
