@@ -131,7 +131,7 @@ def maximise_area_strain(
     )  # fmt: skip
     strain, nominal = scan_designs(scenes, names, values, wishes, share)
     best, evaluations = None, 0
-    for number in _seeds(strain, nominal, counts, wishes):
+    for number in _seeds(strain, nominal, counts):
         z = np.array([i / (n - 1) for i, n in zip(np.unravel_index(number, counts), counts, strict=True)])
         kind = Kind(int(nominal.ramps.snaps[number]), way_down is not None and nominal.ramps.snaps[number] > 0)
         begin = begin_of(kind, nominal.ramps, np.array([number]))
@@ -171,7 +171,7 @@ def _held(scenes, names, x, wishes, share) -> np.ndarray:
     return held
 
 
-def _seeds(strain: np.ndarray, nominal, counts, wishes: Wishes) -> list[int]:
+def _seeds(strain: np.ndarray, nominal, counts) -> list[int]:
     """The best designs of every connected region of one shape of ramp, and those nearest to fulfilling the wishes."""
     ramps = nominal.ramps
     survives = np.isin(ramps.outcome, (Outcome.breakdown_on_branch, Outcome.breakdown_in_snap)) & np.isfinite(

@@ -317,7 +317,7 @@ def regime_map(
     classify(*np.concatenate([a, b]).T)
     count = len(known.regime)
     one, other = number[tuple(a.T)], number[tuple(b.T)]
-    boundaries = _curves(known, whole, a, b, one, other, x, y) if len(a) else []
+    boundaries = _curves(known, a, b, one, other) if len(a) else []
     return RegimeMap(scene, names, (x, y), whole, boundaries, count)
 
 
@@ -359,7 +359,7 @@ def _filled(known: _Known, number, rows, columns) -> np.ndarray:
     return known.regime[number[np.ix_(*nearest)]]
 
 
-def _curves(known: _Known, whole, a, b, one, other, x, y) -> list[Boundary]:
+def _curves(known: _Known, a, b, one, other) -> list[Boundary]:
     """The edges between two regimes, joined cell by cell into curves."""
     values, kinds, error = _edges(known, one, other)
     across = a[:, 0] == b[:, 0]

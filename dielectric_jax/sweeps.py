@@ -28,7 +28,7 @@ from .scene import Scene, describe
 from .states import check_request
 from .store import Memory, ZarrStore, need, open_group
 from .surface import check_tolerance
-from .workers import Job, block_size, compute_block, pilot
+from .workers import Job, block_size, compute_block
 
 __all__ = ["open_sweep", "sweep"]
 
@@ -67,7 +67,7 @@ def sweep(
         resolve: leave nothing open that continuation or a whole diagram decides.
         curves: also the curves of voltage against volume, 256 states each (surface only).
         tolerance: largest error of the surface, or of continuation.
-        block: scenes of a block; about two seconds of work when None, as measured on some scenes.
+        block: scenes of a block; when None a sixteenth of all, from 256 to 8192 (surface) or 32 to 128 (continuation).
         executor: None, a number of worker processes, the address of a Dask scheduler, or a `concurrent.futures.Executor`.
         progress: show a bar; on a terminal and in a notebook when None.
         **parameters: lists of values of parameters.
@@ -108,7 +108,7 @@ def sweep(
         elif path is not None and path.exists():
             raise StoreError(f"{str(path)!r} is there already; resume it, or name another store.")
         else:
-            chunk = design.chunk(block or _measured_block(pool, job, design))
+            chunk = design.chunk(block or block_size(job, design.count))
             if path is None:
                 store = Memory(design, chunk, variables)
             else:
@@ -152,15 +152,6 @@ def _check_pickle(job: Job) -> None:
         ) from None
 
 
-def _measured_block(pool, job: Job, design: Design) -> int:
-    """The size of blocks from what some scenes cost, on one worker, which fills the caches for the others."""
-    most = 256 if job.engine == "surface" else 64
-    part = design.blocks(design.chunk(most))[0]
-    measured: list[float] = []
-    run_blocks(pool, pilot, [(0, lambda: (job, design.columns(part)))], lambda _, seconds: measured.append(seconds))
-    return block_size(measured[0], job, design.count)
-
-
 def _run(pool, job: Job, design: Design, store: Memory | ZarrStore, show: bool | None) -> None:
     """Computes and keeps the blocks that are not done."""
     sizes = [int(np.prod([s.stop - s.start for s in part])) for part in store.parts]
@@ -173,7 +164,10 @@ def _run(pool, job: Job, design: Design, store: Memory | ZarrStore, show: bool |
             store.write(number, answer)
             bar.add(sizes[number], int(np.isin(answer["outcome"], [int(a) for a in _UNANSWERED]).sum()))
 
-        run_blocks(pool, compute_block, tasks, keep)
+        # one worker fills the caches of programs and surfaces, from which the others read
+        alone = 1 if pool.workers > 1 else 0
+        run_blocks(pool, compute_block, tasks[:alone], keep)
+        run_blocks(pool, compute_block, tasks[alone:], keep)
 
 
 def _arguments(job: Job, design: Design, part) -> tuple:
