@@ -79,7 +79,6 @@ def _once(path, build):
     """`build()`, which keeps its answer in a file: of several processes one builds, the others read."""
     if path is None or path.exists():
         return build()
-    path.parent.mkdir(parents=True, exist_ok=True)
     with alone(path.with_suffix(".lock")):
         return build()
 
