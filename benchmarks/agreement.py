@@ -584,8 +584,7 @@ def main() -> int:
             for d in record["disagreements"]:
                 text += f"\n             {d}"
         print(text, file=sys.stderr, flush=True)
-        if options.json not in (None, "-"):
-            write(summary(records, options, seconds), options.json)
+        write(summary(records, options, seconds), options.json, partial=True)
     document = summary(records, options, time.perf_counter() - started)
     write(document, options.json)
     for name, value in document["counts"].items():

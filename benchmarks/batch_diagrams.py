@@ -423,7 +423,7 @@ def main() -> int:
                 record["machine"] = document["machine"]
                 document["records"].append(record)
                 print_record(record)
-                write(document, options.json)
+                write(document, options.json, partial=True)
     best = best_of_auto(document["records"])
     for record in document["records"]:
         record["auto_over_this"] = best["seconds_per_diagram"] / record["seconds_per_diagram"] if best else None

@@ -207,7 +207,7 @@ def main() -> int:
             error = f"{r['error']:.1e}" if r["error"] is not None else "–"
             print(f"{r['scene']:44}{r['seconds'] * factor:12.4g}{r['ratio']:9.2f}{error:>10}", file=out, flush=True)
         document["records"] += records
-        write(document, options.json)
+        write(document, options.json, partial=True)
     document["calibration_seconds"] = calibrate()
     write(document, options.json)
     good = all(r["error"] is None or r["error"] < 1e-9 for r in document["records"])

@@ -91,7 +91,8 @@ def main() -> int:
             flush=True,
         )
         record["good"] = all(p["good"] for p in record["problems"].values())
-        write(record, args.json)
+        write(record, args.json, partial=True)
+    write(record, args.json)
     return 0 if record["good"] else 1
 
 

@@ -259,7 +259,8 @@ def main() -> int:
             "groups": groups,
             "machine": machine(),
         }
-        write(document, options.json)
+        write(document, options.json, partial=True)
+    write(document, options.json)
     for record in differing:
         print(record, file=sys.stderr)
     print("FAILED" if differing else "PASSED", file=sys.stderr)

@@ -155,6 +155,7 @@ def main() -> int:
     options = parser.parse_args()
     dj.enable_compilation_cache()
     records = []
+    document = {"machine": machine(), "quick": options.quick, "records": records}
     for kind, (values, _) in KINDS.items():
         if (options.only and kind not in options.only) or (options.quick and kind not in QUICK):
             continue
@@ -165,7 +166,8 @@ def main() -> int:
             cost = f", gradient {row['cost']:.1f} values" if "cost" in row else ""
             say = f"{kind:28} {name:22} {row['derivative']:+.9e}  differs {row['relative_difference']:.1e}"
             print(f"{say} (doubt {row['relative_doubt']:.0e}){cost}", file=sys.stderr, flush=True)
-            write({"machine": machine(), "quick": options.quick, "records": records}, options.json)
+            write(document, options.json, partial=True)
+    write(document, options.json)
     bad = [r for r in records if not r["relative_difference"] < 1e-6 + 3 * r["relative_doubt"]]
     return 1 if bad else 0
 

@@ -162,7 +162,9 @@ def main() -> int:
                 "machine": machine(),
             },
         ]
-        write({"name": "hard_scenes", "records": [{**r, **common} for r in records]}, options.json)
+        document = {"name": "hard_scenes", "records": [{**r, **common} for r in records]}
+        write(document, options.json, partial=True)
+    write(document, options.json)
     for r in records:
         print(r["name"], r["counts"], f"error {r['error']:.1e}", file=sys.stderr)
     wrong = bool(continuation.differing) or nan_numbers > 0

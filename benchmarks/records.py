@@ -45,9 +45,12 @@ def plain(value):
     return value
 
 
-def write(document: dict, where: str | None) -> None:
-    """The document to a file (replaced at once, so that it is whole at any time) or, for "-", to standard output."""
-    if where is None:
+def write(document: dict, where: str | None, *, partial: bool = False) -> None:
+    """The document to a file (replaced at once, so that it is whole at any time) or, for "-", to standard output.
+
+    A `partial` document, written so that an interrupted run loses nothing, goes to a file only: standard output gets one.
+    """
+    if where is None or (partial and where == "-"):
         return
     text = json.dumps(plain(document), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     if where == "-":

@@ -178,7 +178,7 @@ def main() -> int:
         for name, make in makers.items():
             document["records"][name] = make(options.quick)
             print(f"{name}: {len(document['records'][name])} records", file=sys.stderr, flush=True)
-            write(document, options.records)
+            write(document, options.records, partial=True)
     if options.batch is not None:
         document["records"]["batch"] = batch_records(options.batch)
     elif "batch" not in document["records"]:

@@ -9,11 +9,11 @@ import typing
 import jax.numpy as jnp
 import numpy as np
 
-from .cache import cache_folder
+from .cache import cache_folder, is_own, make_folder
 from .kept import of_this_package
 from .membrane import Membrane
 
-__all__ = ["cached_path", "fingerprint", "kept_or_none", "read_archive", "same_fingerprint", "write_archive"]
+__all__ = ["cached_path", "fingerprint", "keep", "kept_or_none", "read_archive", "same_fingerprint", "write_archive"]
 
 
 def _checksum(arrays: dict[str, np.ndarray]) -> str:
@@ -77,18 +77,35 @@ def fingerprint(membrane: Membrane) -> np.ndarray:
 
 
 def cached_path(folder_name: str, kind: str, membrane: Membrane, own: np.ndarray, tolerance: float):
-    """Where what was built for a membrane is kept; None with the cache off, or for a material outside this package."""
+    """Where what was built for a membrane is kept, in a folder that is there; None for a material outside this package.
+
+    None also with the cache off, or where others could change what is kept.
+    """
     folder = cache_folder()
     if folder is None or not of_this_package(membrane):
         return None
+    folder = folder / folder_name
+    if not is_own(folder):
+        return None
     kinds = f"{kind} {type(membrane.material).__name__} {type(membrane.breakdown).__name__} {tolerance!r}"
     key = hashlib.sha256(kinds.encode() + own.tobytes()).hexdigest()[:32]
-    return folder / folder_name / f"{key}.npz"
+    try:
+        make_folder(folder)
+    except OSError:
+        return None
+    return folder / f"{key}.npz"
+
+
+def keep(save, path) -> None:
+    """`save(path)` of a file in the cache, which is this user's alone; nothing where there is no path."""
+    if path is not None:
+        save(path)
+        path.chmod(0o600)
 
 
 def kept_or_none(load, path):
-    """`load(path)` of a file in the cache; None where there is none, or a damaged one, which is removed."""
-    if path is None or not path.exists():
+    """`load(path)` of a file in the cache; None where there is none, another user's, or a damaged one, which is removed."""
+    if path is None or not path.exists() or not is_own(path):
         return None
     try:
         return load(path)

@@ -6,9 +6,12 @@ import argparse
 import math
 import os
 import re
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+
+from .refusals import BadInput, Parser, one_of
+from .results import LARGEST, shown
 
 __all__ = [
     "CHAMBER_OPTIONS",
@@ -46,54 +49,6 @@ UNIT_CONSTANTS = {
 }
 
 
-class BadInput(Exception):
-    """Input that is refused; the message is the sentence to print."""
-
-
-class _Parser(argparse.ArgumentParser):
-    """An argparse parser whose errors are `BadInput`, and that reads -1e-3 and -inf as numbers."""
-
-    def __init__(self, *args: Any, **kwargs: Any):
-        kwargs.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
-        super().__init__(*args, allow_abbrev=False, **kwargs)
-        self._negative_number_matcher = re.compile(r"^-(\d|\.\d|inf|nan)", re.IGNORECASE)
-
-    def error(self, message: str) -> NoReturn:
-        raise BadInput(_sentence_of(message, self.prog))
-
-
-def _sentence_of(message: str, prog: str) -> str:
-    """Argparse's message as one sentence that names the option, the value and what is allowed."""
-    found = re.match(r"argument (\S+): (.*)", message, re.DOTALL)
-    if found is None:
-        unknown = re.match(r"unrecognized arguments: (.*)", message)
-        if unknown:
-            return f"{unknown[1]!r} is not known here; `{prog} --help` lists what is allowed."
-        missing = re.match(r"the following arguments are required: (.*)", message)
-        if missing:
-            return f"{missing[1]} must be given; `{prog} --help` lists what is allowed."
-        missing = re.match(r"one of the arguments (.*) is required", message)
-        if missing:
-            return f"One of {', '.join(missing[1].split())} must be given, but none is."
-        return message[0].upper() + message[1:].rstrip(".") + "."
-    option, said = found.groups()
-    other = re.match(r"not allowed with argument (\S+)", said)
-    if other:
-        return f"{option} must not be given together with {other[1]}."
-    choice = re.match(r"invalid choice: (.*?) \(choose from (.*)\)", said)
-    if choice:
-        allowed = [c.strip().strip("'") for c in choice[2].split(",")]
-        return f"{option} must be {_one_of(allowed)}, but is {choice[1]}."
-    expected = re.match(r"expected (.*?) arguments?$", said)
-    if expected:
-        return f"{option} must be followed by {expected[1]} value{'' if 'one' in expected[1] else 's'}."
-    return f"{option} {said}"
-
-
-def _one_of(words: Sequence[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
-
-
 def _number(check: Callable[[float], bool], what: str) -> Callable[[str], float]:
     """A reader of numbers that pass `check`; `what` says what is allowed."""
 
@@ -103,7 +58,9 @@ def _number(check: Callable[[float], bool], what: str) -> Callable[[str], float]
         except ValueError:
             value = math.nan
         if not (math.isfinite(value) and check(value)):
-            raise argparse.ArgumentTypeError(f"must be {what}, but is {text!r}.")
+            raise argparse.ArgumentTypeError(f"must be {what}, but is {shown(text)}.")
+        if abs(value) > LARGEST:
+            raise argparse.ArgumentTypeError(f"must be at most {LARGEST:g} in size, but is {shown(text)}.")
         return value
 
     return read
@@ -113,19 +70,26 @@ _finite = _number(lambda v: True, "a finite number")
 _positive = _number(lambda v: v > 0, "a positive finite number")
 _not_negative = _number(lambda v: v >= 0, "zero or a positive finite number")
 _share = _number(lambda v: 0 < v < 1, "a number between 0 and 1")
+# what is divided by a constant of the units must not overflow
+_unit = _number(lambda v: 1 / LARGEST <= v <= LARGEST, f"a positive finite number from {1 / LARGEST:g} to {LARGEST:g}")
 _prestretch = _number(lambda v: v >= 1, "a finite number of at least 1")
 
 
-def _points(text: str) -> int:
-    if not (re.fullmatch(r"\d+", text) and 2 <= int(text) <= 1_000_000):
-        raise argparse.ArgumentTypeError(f"must be a whole number from 2 to 1000000, but is {text!r}.")
-    return int(text)
+def _whole(least: int, most: int) -> Callable[[str], int]:
+    """A reader of whole numbers between limits."""
+
+    def read(text: str) -> int:
+        # not int(text) at once: Python refuses thousands of digits with a sentence of its own
+        value = int(text) if re.fullmatch(r"[0-9]{1,18}", text) else -1
+        if not least <= value <= most:
+            raise argparse.ArgumentTypeError(f"must be a whole number from {least} to {most}, but is {shown(text)}.")
+        return value
+
+    return read
 
 
-def _count(text: str) -> int:
-    if not (re.fullmatch(r"\d+", text) and 1 <= int(text) <= 10_000):
-        raise argparse.ArgumentTypeError(f"must be a whole number from 1 to 10000, but is {text!r}.")
-    return int(text)
+_points = _whole(2, 1_000_000)
+_count = _whole(1, 10_000)
 
 
 def _breakdown(text: str) -> str | float:
@@ -134,12 +98,12 @@ def _breakdown(text: str) -> str | float:
     return _number(lambda v: v > 0, "vhb or a positive field in units of √(μ/ε)")(text)
 
 
-def _parser() -> _Parser:
-    parser = _Parser(prog=PROGRAM, description=_DESCRIPTION)
+def _parser() -> Parser:
+    parser = Parser(prog=PROGRAM, description=_DESCRIPTION)
     parser.add_argument("--version", action="version", version=f"{PROGRAM} {_version()}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
 
-    common = _Parser(add_help=False)
+    common = Parser(add_help=False)
     group = common.add_argument_group("membrane")
     group.add_argument("--material", choices=list(MATERIAL_CONSTANTS), default="gent", help="free energy (gent)")
     group.add_argument("--stretch-limit", type=_positive, metavar="J", help="limit J of gent (270)")
@@ -155,7 +119,7 @@ def _parser() -> _Parser:
     group = common.add_argument_group("units")
     group.add_argument("--si", action="store_true", help="options and answers in SI")
     for name, (symbol, what) in UNIT_CONSTANTS.items():
-        group.add_argument(_option(name), type=_positive, metavar=symbol, help=what)
+        group.add_argument(_option(name), type=_unit, metavar=symbol, help=what)
     group = common.add_argument_group("answer")
     group.add_argument("--json", metavar="FILE|-", help="write JSON to a file, or to standard output with -")
     group.add_argument("--figure", metavar="FILE", help=f"draw a figure ({', '.join(_FIGURE_SUFFIXES)})")
@@ -297,40 +261,64 @@ def _check(args: argparse.Namespace) -> None:
 
 
 def _check_files(args: argparse.Namespace) -> None:
-    """Refuses files that cannot be written."""
+    """Refuses names that no file can have, and files that cannot be written."""
+    for name, said in (("specification", "SPEC.toml"), ("data", "DATA.csv")):
+        file = getattr(args, name, None)
+        if file is not None and not _can_be(file):
+            raise BadInput(f"{said} must be the name of a file, but is {shown(file)}.")
     if args.json is not None and args.json != "-":
         _check_file("--json", args.json)
     if getattr(args, "figure", None) is not None:
         _check_file("--figure", args.figure)
         if Path(args.figure).suffix[1:].lower() not in _FIGURE_SUFFIXES:
             raise BadInput(
-                f"--figure must be a file name ending in {_one_of(_FIGURE_SUFFIXES)}, but is {args.figure!r}."
+                f"--figure must be a file name ending in {one_of(_FIGURE_SUFFIXES)}, but is {shown(args.figure)}."
             )
 
 
 def _check_sweep(args: argparse.Namespace) -> None:
-    parent = Path(args.output).parent
-    if not args.output or not parent.is_dir() or not os.access(parent, os.W_OK):
-        raise BadInput(f"--output must be in a folder that exists and can be written, but is {args.output!r}.")
+    if not _writable(args.output, lambda path: path.parent):
+        raise BadInput(f"--output must be in a folder that exists and can be written, but is {shown(args.output)}.")
     if args.accept_versions and not args.resume:
         raise BadInput("--accept-versions must be given with --resume only.")
     if args.export is not None:
         _check_file("--export", args.export)
         if Path(args.export).suffix not in (".nc", ".csv"):
-            raise BadInput(f"--export must be a file name ending in .nc or .csv, but is {args.export!r}.")
+            raise BadInput(f"--export must be a file name ending in .nc or .csv, but is {shown(args.export)}.")
+
+
+def _writable(name: str, folder_of: Callable[[Path], Path | None]) -> bool:
+    """Whether the folder that a name means to be written in, if it means one, is there and can be written."""
+    if not _can_be(name):
+        return False
+    folder = folder_of(Path(name))
+    return folder is not None and folder.is_dir() and os.access(folder, os.W_OK)
+
+
+def _can_be(name: str) -> bool:
+    """Whether a file of that name can be, whether or not there is one."""
+    try:
+        os.lstat(name)
+    except (FileNotFoundError, NotADirectoryError):
+        return bool(name)
+    except (OSError, ValueError):  # too long, a loop of links, a NUL, characters that the file system does not have
+        return False
+    return True
 
 
 def _check_file(option: str, name: str) -> None:
-    path = Path(name)
-    if not name or path.is_dir() or not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
-        raise BadInput(f"{option} must be a file in a folder that exists and can be written, but is {name!r}.")
+    if not _writable(name, lambda path: None if path.is_dir() else path.parent):
+        raise BadInput(f"{option} must be a file in a folder that exists and can be written, but is {shown(name)}.")
 
 
 def _check_folder(option: str, name: str) -> None:
-    path = Path(name)
-    there = path if path.is_dir() else path.parent
-    if not name or (path.exists() and not path.is_dir()) or not there.is_dir() or not os.access(there, os.W_OK):
-        raise BadInput(f"{option} must be a folder that can be written, or made in one that exists, but is {name!r}.")
+    def folder(path: Path) -> Path | None:
+        return path if path.is_dir() else None if path.exists() else path.parent
+
+    if not _writable(name, folder):
+        raise BadInput(
+            f"{option} must be a folder that can be written, or made in one that exists, but is {shown(name)}."
+        )
 
 
 def _option(name: str) -> str:
@@ -366,6 +354,10 @@ def option_names(message: str, args: argparse.Namespace) -> str:
 
 def read_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     """The options of `argv` (the process's own when None), well formed; raises `BadInput` where they are not."""
+    argv = sys.argv[1:] if argv is None else argv
+    for word in argv:
+        if re.fullmatch(r"--[a-z0-9-]+=--", word):  # argparse takes the two dashes away and leaves no value at all
+            raise BadInput(f"{word[:-3]} must be followed by a value, but is followed by '--'.")
     args = _parser().parse_args(argv)
     _check(args)
     return args

@@ -24,7 +24,6 @@ from .loading import Contour
 from .materials import AbstractMaterial, capacitance, largest_load, stresses
 from .membrane import Membrane, apex_series, slopes
 from .programs import threads
-from .results import Code
 from .scene import SCANNED_LOAD
 from .shooting import MOST_STEPS, graded_map, integrate
 
@@ -372,14 +371,3 @@ def cached_scan(membrane: Membrane, stretches, loads) -> Scan:
                 _scans.popitem(last=False)
         _scans.move_to_end(key)
         return _scans[key]
-
-
-def edge_code(state: np.ndarray, stretches, loads, locks: bool, fraction: float) -> Code:
-    """Which limit of the window a state (λa, p, q) with load fraction t = `fraction` is nearest to."""
-    low, high = stretches
-    gaps = {
-        Code.lock_up if locks else Code.window_stretch: (high - state[0]) / (high - low),
-        Code.window_stretch: (state[0] - low) / (high - low),
-        Code.window_load: min(fraction - loads[0], loads[1] - fraction) / (loads[1] - loads[0]),
-    }
-    return min(gaps, key=lambda code: gaps[code])

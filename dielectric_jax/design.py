@@ -20,12 +20,14 @@ from .family import SurfaceFamily
 from .outcomes import Outcome, Regime
 from .records import plain
 from .regime_maps import even
+from .results import check_whole
 from .scenarios import scenarios_of
 from .scene import PARAMETERS, Scene, describe
 from .surface import Surface
 
 __all__ = ["Design", "maximise_area_strain"]
 
+_MOST_SOUGHT = 6  # parameters, of which the scan takes 7 values each
 _SCAN = {1: (256,), 2: (24, 24), 3: (12, 12, 12)}
 _SEEDS = 5
 _INWARD = 1e-7  # of the range: the check steps back from the edges by it
@@ -115,6 +117,9 @@ def maximise_area_strain(
     """
     if not over:
         raise ValueError("`over` must name at least one parameter, but is empty.")
+    if len(over) > _MOST_SOUGHT:
+        raise ValueError(f"`over` must name at most {_MOST_SOUGHT} parameters, but names {len(over)}.")
+    check_whole("compare", compare, 0, 10_000_000)
     wishes = Wishes(survival_margin, operating_margin, must_snap, way_down)
     axes = [axis_of(name, limits) for name, limits in over.items()]
     names = tuple(over)
@@ -130,7 +135,7 @@ def maximise_area_strain(
     )  # fmt: skip
     strain, nominal = scan_designs(scenes, names, values, wishes, share)
     best, evaluations = None, 0
-    for number in _seeds(strain, nominal, counts, wishes):
+    for number in _seeds(strain, nominal, counts):
         z = np.array([i / (n - 1) for i, n in zip(np.unravel_index(number, counts), counts, strict=True)])
         kind = Kind(int(nominal.ramps.snaps[number]), way_down is not None and nominal.ramps.snaps[number] > 0)
         begin = begin_of(kind, nominal.ramps, np.array([number]))
@@ -170,7 +175,7 @@ def _held(scenes, names, x, wishes, share) -> np.ndarray:
     return held
 
 
-def _seeds(strain: np.ndarray, nominal, counts, wishes: Wishes) -> list[int]:
+def _seeds(strain: np.ndarray, nominal, counts) -> list[int]:
     """The best designs of every connected region of one shape of ramp, and those nearest to fulfilling the wishes."""
     ramps = nominal.ramps
     survives = np.isin(ramps.outcome, (Outcome.breakdown_on_branch, Outcome.breakdown_in_snap)) & np.isfinite(

@@ -14,7 +14,7 @@ import typing
 from collections.abc import Callable, Iterator, Sequence
 
 from .programs import cores
-from .results import WorkersLost
+from .results import WorkersLost, shown
 from .store import need
 
 __all__ = ["Progress", "executor_of", "run_blocks"]
@@ -65,6 +65,21 @@ class _Given:
         raise WorkersLost("The executor broke, as when a worker is killed; what is finished is kept.") from None
 
 
+def _refuse_fork(executor) -> None:
+    """Raises ValueError for an executor whose workers are forks of this process.
+
+    JAX has threads, which a fork does not copy, though it copies the locks that they hold: such workers wait for ever.
+    """
+    context = getattr(executor, "_mp_context", None) or getattr(executor, "_context", None)  # loky's is the second
+    method = getattr(context, "get_start_method", lambda: None)()
+    if method == "fork":
+        raise ValueError(
+            f"`executor` must start its worker processes by spawn or forkserver, but this {type(executor).__name__} forks them, "
+            "and forks of a process that has used JAX hang; make it with "
+            'mp_context=multiprocessing.get_context("spawn").'
+        )
+
+
 @contextlib.contextmanager
 def executor_of(what) -> Iterator[_Processes | _Given]:
     """The executor that `what` means: None this process, a number of worker processes, a Dask address, or an executor."""
@@ -81,12 +96,18 @@ def executor_of(what) -> Iterator[_Processes | _Given]:
             client = distributed.Client(what, timeout="10s", set_as_default=False)
         except (OSError, ValueError, TimeoutError):
             raise ValueError(
-                f"`executor` must be the address of a Dask scheduler, but none answers at {what!r}."
+                f"`executor` must be the address of a Dask scheduler, but none answers at {shown(what)}."
             ) from None
         with client, client.get_executor() as executor:
             yield _Given(executor, max(1, sum(client.nthreads().values())))
         return
+    elif callable(getattr(what, "get_executor", None)):  # a Dask client, whose own futures are of another kind
+        client = typing.cast(typing.Any, what)
+        with client.get_executor() as executor:
+            yield _Given(executor, max(1, sum(client.nthreads().values())))
+        return
     elif isinstance(what, concurrent.futures.Executor) or callable(getattr(what, "submit", None)):
+        _refuse_fork(what)
         yield _Given(typing.cast(concurrent.futures.Executor, what), 4 * cores())
         return
     else:

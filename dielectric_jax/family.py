@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .archive import cached_path, fingerprint, kept_or_none, read_archive, same_fingerprint, write_archive
+from .archive import cached_path, fingerprint, keep, kept_or_none, read_archive, same_fingerprint, write_archive
 from .elements import (
     NODES,
     Element,
@@ -133,8 +133,7 @@ class SurfaceFamily(eqx.Module):
         edges, arrays = pack(elements)
         parts = map(jnp.asarray, (*edges, *arrays))
         family = cls(material, breakdown, *parts, prestretch=(low, high), tolerance=tolerance)
-        if path is not None:
-            family.save(path)
+        keep(family.save, path)
         return family
 
     @classmethod

@@ -14,7 +14,7 @@ import jax.core
 import jax.export
 import numpy as np
 
-from .cache import enabled_folder
+from .cache import enabled_folder, is_own, make_folder, write_own
 
 __all__ = ["kept_jit", "of_this_package", "source_digest"]
 
@@ -91,8 +91,9 @@ def _kept(plain, folder: pathlib.Path, key) -> Callable | None:
     tree, shapes = key
     name = hashlib.sha256(_versions() + repr((plain.__name__, str(tree), shapes)).encode()).hexdigest()[:32]
     path = folder / f"{plain.__name__.strip('_')}-{name}"
+    own = is_own(folder)  # what others may have written is neither run nor joined
     with contextlib.suppress(OSError, ValueError):
-        content = path.read_bytes()
+        content = path.read_bytes() if own and is_own(path) else b""
         digest, content = content[:32], content[32:]
         if hashlib.sha256(content).digest() == digest:
             return jax.jit(jax.export.deserialize(bytearray(content)).call, compiler_options=_OPTIONS)
@@ -106,8 +107,10 @@ def _kept(plain, folder: pathlib.Path, key) -> Callable | None:
     except (ValueError, NotImplementedError):  # a callback to the host, a result of an unknown class
         return None
     with contextlib.suppress(OSError):
-        folder.mkdir(parents=True, exist_ok=True)
+        if not own:
+            raise PermissionError
+        make_folder(folder)
         part = path.with_name(f"{path.name}.{os.getpid()}.{threading.get_ident()}")
-        part.write_bytes(hashlib.sha256(content).digest() + content)
+        write_own(part, hashlib.sha256(content).digest() + content)
         part.replace(path)
     return jax.jit(exported.call, compiler_options=_OPTIONS)

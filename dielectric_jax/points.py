@@ -129,7 +129,7 @@ def linearised(kind: str, wanted: tuple, engine: AbstractEngine, u, theta: Condi
     return _assemble(kind, wanted, engine, u, theta, rims, by_leaf)
 
 
-def _unknowns(kind: str, free: int | None, by_u, by_theta):
+def _unknowns(kind: str, by_u, by_theta):
     """The columns of a kind's unknowns: λa, p, and q or the free parameter, which is the last column of θ, or both."""
     if kind in _INSTEAD:
         return jnp.concatenate([by_u[:, :2], by_theta[:, -1:]], axis=1)
@@ -149,9 +149,9 @@ def _solve(matrix, right):
     return inverse @ right
 
 
-@functools.partial(jax.jit, static_argnames=("kind", "free"))
-def _move(kind: str, free, value, by_u, by_theta):
-    return -_solve(_unknowns(kind, free, by_u, by_theta)[:-1], value[:-1, None])[:, 0]
+@functools.partial(jax.jit, static_argnames=("kind",))
+def _move(kind: str, value, by_u, by_theta):
+    return -_solve(_unknowns(kind, by_u, by_theta)[:-1], value[:-1, None])[:, 0]
 
 
 def correction(kind: str, engine: AbstractEngine, u, theta: Conditions, free: int | None = None):
@@ -160,14 +160,14 @@ def correction(kind: str, engine: AbstractEngine, u, theta: Conditions, free: in
     The unknowns are (λa, p, q), or with a `free` leaf of θ (λa, p, leaf) or (λa, p, q, leaf).
     """
     value, by_u, by_theta = linearised(kind, () if free is None else (free,), engine, u, theta)
-    return value[:-1], _move(kind, free, value, by_u, by_theta), value[-1]
+    return value[:-1], _move(kind, value, by_u, by_theta), value[-1]
 
 
 @functools.partial(jax.jit, static_argnames=("kind", "free"))
 def _rates(kind: str, free, by_u, by_theta):
     """Derivatives of λa, p, q, V, and of the free parameter, by the other leaves."""
     asked = by_theta if free is None else by_theta[:, :-1]
-    move = -_solve(_unknowns(kind, free, by_u, by_theta)[:-1], asked[:-1])
+    move = -_solve(_unknowns(kind, by_u, by_theta)[:-1], asked[:-1])
     zero = jnp.zeros_like(move[:1])
     of_u = jnp.concatenate([move[:2], zero]) if kind in _INSTEAD else move[:3]
     of_free = zero if free is None else move[-1:]

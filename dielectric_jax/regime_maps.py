@@ -26,7 +26,7 @@ from .family import SurfaceFamily
 from .grid_lines import beside_change, chains, changes
 from .outcomes import Outcome, Regime
 from .records import plain
-from .results import check_positive
+from .results import LARGEST, check_whole, shown
 from .scene import PARAMETERS, Scene, describe
 from .surface import Surface
 
@@ -38,6 +38,7 @@ _ISLAND = 6  # designs
 _VAGUE = 3.0  # cells
 _DECADES = 1.2  # a range wider than this many decades is divided evenly in the logarithm
 #: parameters with another sheet of states at every value
+_MOST_POINTS = 10_000  # along a parameter
 _SHEETS = ("prestretch", *MATERIAL_CONSTANTS)
 #: … or another breakdown law
 _LAWS = ("breakdown_field_scale", "shear_modulus", "permittivity")
@@ -133,10 +134,12 @@ def check_range(name: str, limits) -> tuple[float, float]:
         raise ValueError(f"`{name}` must be one of {', '.join(PARAMETERS)}, but is not a parameter of a scene.")
     try:
         low, high = (float(v) for v in limits)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         low = high = np.nan
-    if not (np.isfinite([low, high]).all() and low < high):
-        raise ValueError(f"`{name}` must range over two finite numbers (low, high) with low < high, but is {limits!r}.")
+    if not (abs(low) <= LARGEST and abs(high) <= LARGEST and low < high):
+        raise ValueError(
+            f"`{name}` must range over two finite numbers (low, high) with low < high, but is {shown(limits)}."
+        )
     return low, high
 
 
@@ -326,7 +329,7 @@ def regime_map(
     classify(*np.concatenate([a, b]).T)
     count = len(known.regime)
     one, other = number[tuple(a.T)], number[tuple(b.T)]
-    boundaries = _curves(known, whole, a, b, one, other, x, y) if len(a) else []
+    boundaries = _curves(known, a, b, one, other) if len(a) else []
     return RegimeMap(scene, names, (x, y), whole, boundaries, count)
 
 
@@ -351,11 +354,11 @@ def _counts(names, points) -> tuple[int, int]:
     if points is None:
         first, second = (_SHEET_POINTS if n in (*_SHEETS, *_LAWS) else _POINTS for n in names)
         return first, second
-    counts = (points, points) if isinstance(points, int) else tuple(points)
+    counts = tuple(points) if isinstance(points, (tuple, list)) else (points, points)
+    if len(counts) != 2:
+        raise ValueError(f"`points` must be a whole number, or two of them, but is {shown(points)}.")
     for count in counts:
-        check_positive("points", float(count))
-    if len(counts) != 2 or min(counts) < 3:
-        raise ValueError(f"`points` must be a number of at least 3, or two of them, but is {points!r}.")
+        check_whole("points", count, 3, _MOST_POINTS)
     return int(counts[0]), int(counts[1])
 
 
@@ -368,7 +371,7 @@ def _filled(known: _Known, number, rows, columns) -> np.ndarray:
     return known.regime[number[np.ix_(*nearest)]]
 
 
-def _curves(known: _Known, whole, a, b, one, other, x, y) -> list[Boundary]:
+def _curves(known: _Known, a, b, one, other) -> list[Boundary]:
     """The edges between two regimes, joined cell by cell into curves."""
     values, kinds, error = _edges(known, one, other)
     across = a[:, 0] == b[:, 0]

@@ -314,11 +314,6 @@ def integrate_membrane(
     return Shot(end[1], end[3], height, charge, found, marks)
 
 
-class _Rim(typing.NamedTuple):
-    lag: Array
-    volume: Array
-
-
 def shoot(material: AbstractMaterial, apex_stretch, pressure, voltage_squared, *, steps: float = 32.0) -> Rim:
     """λ2(1) − λa and V of the membrane shot from (apex_stretch, pressure, voltage_squared) to R = 1.
 

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .archive import cached_path, fingerprint, kept_or_none, read_archive, same_fingerprint, write_archive
+from .archive import cached_path, fingerprint, keep, kept_or_none, read_archive, same_fingerprint, write_archive
 from .elements import NODES, Element, chebyshev, locate, pack, unit_place
 from .materials import AbstractBreakdown, AbstractMaterial, largest_load
 from .membrane import Membrane
@@ -122,8 +122,7 @@ class Surface(eqx.Module):
                 f"`tolerance` must be looser for this membrane: no part of its chart was met to {tolerance:g}."
             )
         surface = cls.of_elements(membrane, elements, tolerance)
-        if path is not None:
-            surface.save(path)
+        keep(surface.save, path)
         return surface
 
     @classmethod

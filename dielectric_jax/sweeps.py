@@ -6,6 +6,7 @@ import functools
 import hashlib
 import importlib.metadata
 import json
+import math
 import os
 import pathlib
 import pickle
@@ -23,17 +24,18 @@ from .executors import Progress, executor_of, run_blocks
 from .kept import source_digest
 from .loading import Chamber, ConstantPressure
 from .membrane import require_float64
-from .results import StoreError
+from .results import StoreError, check_whole
 from .scene import Scene, describe
 from .states import check_request
 from .store import Memory, ZarrStore, need, open_group
 from .surface import check_tolerance
-from .workers import Job, block_size, compute_block, pilot
+from .workers import Job, block_size, compute_block
 
 __all__ = ["open_sweep", "sweep"]
 
 _FAMILY_FROM = 9  # prestretches from which on their surfaces are taken from a family
 _PACKAGES = ("jax", "jaxlib", "diffrax", "equinox", "numpy", "scipy")
+_MOST_BLOCKS = 10**6  # of each of which a store keeps a file for every variable
 _UNANSWERED = (Answer.unresolved, Answer.no_answer, Answer.invalid_scene, Answer.failed)
 
 
@@ -67,7 +69,7 @@ def sweep(
         resolve: leave nothing open that continuation or a whole diagram decides.
         curves: also the curves of voltage against volume, 256 states each (surface only).
         tolerance: largest error of the surface, or of continuation.
-        block: scenes of a block; about two seconds of work when None, as measured on some scenes.
+        block: scenes of a block; when None a sixteenth of all, from 256 to 8192 (surface) or 32 to 128 (continuation).
         executor: None, a number of worker processes, the address of a Dask scheduler, or a `concurrent.futures.Executor`.
         progress: show a bar; on a terminal and in a notebook when None.
         **parameters: lists of values of parameters.
@@ -88,14 +90,15 @@ def sweep(
     require_float64()
     design = Design(scene, (*axes, *axes_of(parameters)))
     job = _job(design, engine, resolve, curves, tolerance)
-    if block is not None and not (isinstance(block, (int, np.integer)) and block > 0):
-        raise ValueError(f"`block` must be a positive whole number, but is {block!r}.")
+    if block is not None:
+        check_whole("block", block, 1, 2**31 - 1)
     if resume and output is None:
         raise ValueError("`resume` must be given with `output` only, because memory holds nothing to resume.")
     need("xarray")
     if isinstance(executor, int) and executor is not True:
         _check_pickle(job)
     variables = variables_of(curves)
+    _check_names(design, variables)
     attributes = _attributes(design, job)
     path = None if output is None else pathlib.Path(output)
     with executor_of(executor) as pool, contextlib.ExitStack() as stack:
@@ -108,7 +111,8 @@ def sweep(
         elif path is not None and path.exists():
             raise StoreError(f"{str(path)!r} is there already; resume it, or name another store.")
         else:
-            chunk = design.chunk(block or _measured_block(pool, job, design))
+            chunk = design.chunk(block or block_size(job, design.count))
+            _check_size(design, chunk, variables, path is None)
             if path is None:
                 store = Memory(design, chunk, variables)
             else:
@@ -142,6 +146,46 @@ def _job(design: Design, engine: str, resolve: bool, curves: bool, tolerance: fl
     return Job(design.scene, engine, resolve, curves, tolerance, family, None if folder is None else str(folder))
 
 
+def _check_size(design: Design, chunk, variables, in_memory: bool) -> None:
+    """Refuses a sweep whose blocks, or in memory whose numbers, are too many to be held."""
+    blocks = math.prod(-(-size // own) for size, own in zip(design.shape, chunk, strict=True))
+    if blocks > _MOST_BLOCKS:
+        raise ValueError(
+            f"`block` must be larger for {design.count} scenes, of which {blocks} blocks would be made; at most "
+            f"{_MOST_BLOCKS} can be."
+        )
+    needed = design.count * sum(np.dtype(v.dtype).itemsize * math.prod(v.dims.values()) for v in variables)
+    if in_memory and needed > memory():
+        raise ValueError(
+            f"`output` must name a store for {design.count} scenes, which take {needed / 2**30:.3g} GiB in memory, "
+            f"of which there are {memory() / 2**30:.3g} GiB."
+        )
+
+
+def _check_names(design: Design, variables) -> None:
+    """Refuses an axis with the name of a variable of the dataset, or of another of its dimensions."""
+    taken = {
+        "block",
+        "block_done",
+        "block_checksum",
+        *(v.name for v in variables),
+        *(d for v in variables for d in v.dims),
+    }
+    for name in design.dimensions:
+        if name in taken:
+            raise ValueError(
+                f"`{name}` must not be the name of an axis, because the dataset holds a variable of that name."
+            )
+
+
+def memory() -> int:
+    """The bytes of memory of this machine; 16 GiB where the system does not say."""
+    try:
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, OSError, ValueError):
+        return 2**34
+
+
 def _check_pickle(job: Job) -> None:
     try:
         pickle.dumps(job)
@@ -150,15 +194,6 @@ def _check_pickle(job: Job) -> None:
             "`scene` must be sent to worker processes, but holds what cannot be, such as a function without a module; "
             "compute in this process."
         ) from None
-
-
-def _measured_block(pool, job: Job, design: Design) -> int:
-    """The size of blocks from what some scenes cost, on one worker, which fills the caches for the others."""
-    most = 256 if job.engine == "surface" else 64
-    part = design.blocks(design.chunk(most))[0]
-    measured: list[float] = []
-    run_blocks(pool, pilot, [(0, lambda: (job, design.columns(part)))], lambda _, seconds: measured.append(seconds))
-    return block_size(measured[0], job, design.count)
 
 
 def _run(pool, job: Job, design: Design, store: Memory | ZarrStore, show: bool | None) -> None:
@@ -173,7 +208,10 @@ def _run(pool, job: Job, design: Design, store: Memory | ZarrStore, show: bool |
             store.write(number, answer)
             bar.add(sizes[number], int(np.isin(answer["outcome"], [int(a) for a in _UNANSWERED]).sum()))
 
-        run_blocks(pool, compute_block, tasks, keep)
+        # one worker fills the caches of programs and surfaces, from which the others read
+        alone = 1 if pool.workers > 1 else 0
+        run_blocks(pool, compute_block, tasks[:alone], keep)
+        run_blocks(pool, compute_block, tasks[alone:], keep)
 
 
 def _arguments(job: Job, design: Design, part) -> tuple:

@@ -7,6 +7,7 @@ doi 10.1016/j.jmps.2012.09.006).
 """
 
 import dataclasses
+import math
 import typing
 from collections.abc import Callable, Mapping
 
@@ -15,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .results import check_positive
+from .results import LARGEST, check_positive
 
 __all__ = ["VACUUM_PERMITTIVITY", "VHB_4910", "Scalar", "Units", "as_scalar", "is_concrete"]
 
@@ -77,7 +78,12 @@ def is_concrete(value) -> bool:
 
 def as_scalar(value: Scalar):
     """A float64 scalar, or the tracer that stands for one."""
-    return jnp.asarray(value, dtype=float) if not is_concrete(value) else np.asarray(value, dtype=np.float64)
+    if not is_concrete(value):
+        return jnp.asarray(value, dtype=float)
+    try:
+        return np.asarray(value, dtype=np.float64)
+    except OverflowError:  # an integer beyond floats, which checks refuse as they refuse infinity
+        return np.asarray(math.inf if value > 0 else -math.inf)
 
 
 class Units(eqx.Module):
@@ -104,7 +110,10 @@ class Units(eqx.Module):
     def __check_init__(self):
         for name in _CONSTANTS:
             if is_concrete(getattr(self, name)):
-                check_positive(name, float(getattr(self, name)))
+                value = float(getattr(self, name))
+                check_positive(name, value)
+                if value < 1 / LARGEST:  # what is divided by it must not overflow
+                    raise ValueError(f"`{name}` must be at least {1 / LARGEST:g}, but is {value!r}.")
 
     @property
     def relative_permittivity(self):

@@ -7,7 +7,6 @@ import collections
 import dataclasses
 import math
 import threading
-import time
 import typing
 
 import jax
@@ -81,7 +80,6 @@ def _once(path, build):
     """`build()`, which keeps its answer in a file: of several processes one builds, the others read."""
     if path is None or path.exists():
         return build()
-    path.parent.mkdir(parents=True, exist_ok=True)
     with alone(path.with_suffix(".lock")):
         return build()
 
@@ -277,18 +275,11 @@ def _columns_of(scene: Scene, loadings: dict, count: int) -> dict[str, typing.An
     return found
 
 
-def pilot(job: Job, columns: dict[str, np.ndarray]) -> float:
-    """Seconds that a scene takes, once everything is compiled; leaves programs and surfaces in the caches."""
-    compute_block(job, columns)
-    begin = time.perf_counter()
-    compute_block(job, columns)
-    return max(time.perf_counter() - begin, 1e-9) / len(next(iter(columns.values())))
+def block_size(job: Job, count: int) -> int:
+    """How many of `count` scenes make a block: about a sixteenth, within what is quick and fits in memory; a power of two.
 
-
-def block_size(seconds_per_scene: float, job: Job, count: int) -> int:
-    """How many scenes make a block: about two seconds of work, and little enough memory; a power of two."""
-    least, most = (256, 8192) if job.engine == "surface" else (32, 1024)
-    if job.curves:
-        most = 1024
-    wanted = min(2.0 / seconds_per_scene, max(count / 16, 1.0))
-    return int(min(max(2 ** round(math.log2(wanted)), least), most))
+    It depends on the sweep alone, so that two runs of one sweep lay their stores out alike.
+    """
+    slow = job.engine == "continuation"
+    least, most = (32, 128) if slow else (256, 1024 if job.curves or job.resolve else 8192)
+    return int(min(max(2 ** round(math.log2(max(count / 16, 1.0))), least), most))

@@ -1,4 +1,4 @@
-"""Every benchmark runs in its quick setting and writes a record that can be read again."""
+"""Every benchmark runs in its quick setting and prints one record that can be read again."""
 
 import json
 import pathlib
@@ -13,15 +13,23 @@ BENCHMARKS = pathlib.Path(__file__).parent.parent / "benchmarks"
 def quick(script: str, tmp_path, *more) -> tuple[dict, str]:
     """The JSON document of one run, and what it said."""
     pytest.importorskip("scipy")
+    command = [sys.executable, BENCHMARKS / script, "--quick", "--json", "-", *more]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.stdout, done.stderr
+    return json.loads(done.stdout), done.stderr  # one document, whatever is written on the way
+
+
+def test_partial_records_go_to_files_only(tmp_path, capsys, monkeypatch):
+    monkeypatch.syspath_prepend(BENCHMARKS)
+    records = __import__("records")
     file = tmp_path / "record.json"
-    done = subprocess.run(
-        [sys.executable, BENCHMARKS / script, "--quick", "--json", file, *more],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert file.exists(), done.stderr
-    return json.loads(file.read_text()), done.stderr
+    for count in (1, 2):
+        records.write({"records": list(range(count))}, "-", partial=True)
+        records.write({"records": list(range(count))}, str(file), partial=True)
+        assert json.loads(file.read_text()) == {"records": list(range(count))}
+    assert capsys.readouterr().out == ""
+    records.write({"records": [0.5, float("nan")]}, "-")
+    assert json.loads(capsys.readouterr().out) == {"records": [0.5, None]}
 
 
 def test_the_estimates_of_a_few_states_are_honest(tmp_path):

@@ -1,6 +1,7 @@
 """Who computes the blocks: workers that are killed in mid-run, interrupts, executors that break, the bar."""
 
 import concurrent.futures
+import multiprocessing
 import os
 import pathlib
 import signal
@@ -10,6 +11,7 @@ import time
 
 import pytest
 
+import dielectric_jax as dj
 from dielectric_jax import executors
 from dielectric_jax.executors import Progress, executor_of, run_blocks
 from dielectric_jax.programs import cores
@@ -70,6 +72,31 @@ def test_an_executor_of_the_user_is_used_and_its_errors_are_told():
                 run_blocks(pool, impossible, tasks_of([3]), found.setdefault)
         assert own.submit(squared, 4).result() == 16  # it is left open
     assert found == {n: n * n for n in range(50)}
+
+
+@pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="no processes fork")
+def test_an_executor_that_forks_is_refused(monkeypatch):
+    """Forks of a process that has used JAX never answer; the sentence names what does."""
+    fork = multiprocessing.get_context("fork")
+    scene = dj.Scene(dj.Membrane(), dj.Chamber(volume=1600.0, initial_volume=2.42))
+    for attribute in ("_mp_context", "_context"):  # Python's own executor, and loky's
+        own = concurrent.futures.ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))
+        monkeypatch.setattr(own, "_mp_context", None)
+        monkeypatch.setattr(own, attribute, fork, raising=False)
+        with pytest.raises(ValueError, match=r'`executor` must start .* make it with .*get_context."spawn"') as said:
+            dj.sweep(scene, chamber_volume=[800.0], executor=own)
+        assert str(said.value).count(". ") == 0
+    for method in set(multiprocessing.get_all_start_methods()) - {"fork"}:
+        with concurrent.futures.ProcessPoolExecutor(1, multiprocessing.get_context(method)) as own:
+            with executor_of(own) as pool:
+                assert pool.executor is own
+
+
+def test_what_is_no_executor_is_refused():
+    for wrong in (True, 0, -1, 1.5, object(), [2], "nowhere"):
+        with pytest.raises(ValueError, match="`executor` must be"):
+            with executor_of(wrong):
+                pass
 
 
 def test_workers_share_the_cores(monkeypatch):

@@ -1,5 +1,10 @@
 """Traced programs are kept in the cache folder, for what only this package defines."""
 
+import os
+import pathlib
+import warnings
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +17,7 @@ from dielectric_jax import cache, kept
 @pytest.fixture
 def folder(monkeypatch, tmp_path):
     monkeypatch.setattr(cache, "_enabled", tmp_path)
+    monkeypatch.setattr(cache, "_refused", set())
     return tmp_path / "programs"
 
 
@@ -102,3 +108,122 @@ def test_what_cannot_be_exported_still_runs(folder):
     program = kept.kept_jit(with_callback)
     assert float(program(dj.Gent(), jnp.array([2.0]))[0][0]) == 4.0
     assert not folder.exists()
+
+
+posix = pytest.mark.skipif(not hasattr(os, "getuid"), reason="no numbers of users")
+NOBODY = 65534
+
+
+def given_away(path):
+    """Makes another user the owner, as only root may."""
+    os.chown(path, NOBODY, -1)
+
+
+root = pytest.mark.skipif(not hasattr(os, "getuid") or os.getuid() != 0, reason="only root gives files away")
+
+
+def crafted(path, factor):
+    """Puts a program of the same name and a valid digest in a program's place, whose answers are `factor` times the right ones."""
+    content = path.read_bytes()[32:]
+    exported = jax.export.deserialize(bytearray(content))
+    shapes = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in exported.in_avals]
+    wrong = jax.export.export(jax.jit(lambda *leaves: [factor * v for v in exported.call(*leaves)]))(*shapes)
+    content = bytes(wrong.serialize())
+    cache.write_own(path, kept.hashlib.sha256(content).digest() + content)
+
+
+WRITABLE = {"folder": 0o777, "group": 0o775, "file": 0o666}
+
+
+@posix
+@pytest.mark.parametrize("who", ["nobody else", *WRITABLE, pytest.param("owner", marks=root)])
+def test_a_program_that_others_may_have_written_is_not_run(folder, who):
+    stretch = jnp.array([2.0])
+    fresh()[0](dj.Gent(), stretch)
+    (path,) = folder.iterdir()
+    assert (path.stat().st_mode & 0o777, folder.stat().st_mode & 0o777) == (0o600, 0o700)
+    crafted(path, 2.0)
+    if who in WRITABLE:
+        (path if who == "file" else folder).chmod(WRITABLE[who])
+    elif who == "owner":
+        given_away(path)
+    program, traces = fresh()
+    if who == "nobody else":  # the craft works: what is kept is run
+        assert float(program(dj.Gent(), stretch)[0][0]) == pytest.approx(2 * gent_stress(270.0, 2.0), rel=1e-13)
+        return
+    with pytest.warns(RuntimeWarning, match="must be this user's alone") as said:
+        found = program(dj.Gent(), stretch)[0][0]
+    assert float(found) == pytest.approx(gent_stress(270.0, 2.0), rel=1e-13)
+    assert len(traces) == 1 and len(said) == 1 and str(said[0].message).count(". ") == 0
+    with warnings.catch_warnings(action="error"):  # said once
+        fresh()[0](dj.Gent(), jnp.array([2.0]))
+
+
+@posix
+@pytest.mark.parametrize("who", ["folder", "file inside", "parent", "link", pytest.param("owner", marks=root)])
+def test_a_folder_that_others_may_change_is_refused(monkeypatch, tmp_path, who):
+    monkeypatch.delenv("DIELECTRIC_JAX_CACHE", raising=False)
+    monkeypatch.setattr(cache, "_enabled", None)
+    monkeypatch.setattr(cache, "_refused", set())
+    jax_folder = jax.config.jax_compilation_cache_dir
+    own = tmp_path / "shared" / "cache"
+    try:
+        assert dj.enable_compilation_cache(own) == cache.enabled_folder() == own
+        assert own.stat().st_mode & 0o777 == 0o700
+        os.chmod(own.parent, 0o1777)  # as /tmp: others may not rename what is not theirs
+        assert dj.enable_compilation_cache(own) == own
+        if who == "folder":
+            own.chmod(0o770)
+        elif who == "parent":
+            own.parent.chmod(0o777)
+        elif who == "file inside":
+            own.chmod(0o755)
+            (own / "jit_f-cache").touch()
+            (own / "jit_f-cache").chmod(0o666)
+        elif who == "owner":
+            given_away(own)
+        else:  # this user's own link, to where others may write
+            own.chmod(0o777)
+            (tmp_path / "link").symlink_to(own)
+            own = tmp_path / "link"
+        with pytest.warns(RuntimeWarning, match="is not used"):
+            assert dj.enable_compilation_cache(own) is None
+        assert cache.enabled_folder() is None
+        monkeypatch.setenv("DIELECTRIC_JAX_CACHE", str(own))
+        if who != "file inside":  # a file of JAX's says nothing of the surfaces beside it
+            assert dj.Surface.path_of(dj.Membrane(), 1e-9) is None
+    finally:
+        jax.config.update("jax_compilation_cache_dir", jax_folder)
+
+
+@root
+def test_a_surface_of_another_user_is_built_anew(monkeypatch, tmp_path):
+    monkeypatch.setenv("DIELECTRIC_JAX_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(cache, "_refused", set())
+    membrane = dj.Membrane(dj.Gent(10.0))
+    right = dj.Surface.build(membrane, tolerance=1e-5)
+    path = dj.Surface.path_of(membrane, 1e-5)
+    # the logarithms of all quantities moved, with the right fingerprint and a valid checksum
+    eqx.tree_at(lambda surface: surface.coefficients, right, right.coefficients + 0.1).save(path)
+    assert float(dj.Surface.build(membrane, tolerance=1e-5)(1.5, 0.0).pressure) != float(right(1.5, 0.0).pressure)
+    given_away(path)
+    with pytest.warns(RuntimeWarning, match="belongs to another user"):
+        found = dj.Surface.build(membrane, tolerance=1e-5)
+    assert float(found(1.5, 0.0).pressure) == float(right(1.5, 0.0).pressure)
+    assert path.stat().st_uid == 0 and path.stat().st_mode & 0o777 == 0o600  # it took the other one's place
+
+
+def test_without_numbers_of_users_nothing_is_asked(folder, monkeypatch):
+    monkeypatch.delattr(os, "getuid", raising=False)
+    folder.mkdir(mode=0o777)
+    folder.chmod(0o777)
+    assert cache.is_own(pathlib.Path(folder))
+
+
+def test_a_folder_that_cannot_be_made_is_refused(monkeypatch, tmp_path):
+    monkeypatch.delenv("DIELECTRIC_JAX_CACHE", raising=False)
+    monkeypatch.setattr(cache, "_enabled", None)
+    monkeypatch.setattr(cache, "_refused", set())
+    (tmp_path / "file").touch()
+    with pytest.warns(RuntimeWarning, match="is not used"):
+        assert dj.enable_compilation_cache(tmp_path / "file" / "cache") is None

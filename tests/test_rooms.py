@@ -98,6 +98,8 @@ ROOMS = [
     "objectives",
     "design",
     "design_files",
+    "plain_text",
+    "refusals",
     "arguments",
     "summaries",
     "cli",
