@@ -70,6 +70,7 @@ _UNITS = {
 }
 for _quantity, _words in _in_words().items():
     _UNITS[_quantity] |= _words
+_LONGEST = 200  # letters of a head; longer lines are prose
 _ENDINGS = ("(g)", "(a)", "g", "a", "gauge", "gage", "absolute", "abs", "rel")
 # of this package's own dimensionless numbers
 _NONE = {"volume": ("-", "1", "a3"), "pressure": ("-", "1", "μh/a", "uh/a")}
@@ -166,6 +167,8 @@ def read_head(text: str) -> list[Head]:
     ([], [])
     """
     found = []
+    if len(text) > _LONGEST:
+        return found
     text = unicodedata.normalize("NFC", text.strip().lstrip("#%").strip().strip("\"'").strip())
     for quantity, names in _NAMES.items():
         try:

@@ -100,7 +100,7 @@ def _cells(path, lines: list[Line], table: Table) -> tuple[list[tuple[str, str]]
         if full(row) > table.width:
             raise ValueError(
                 f"`data` must hold a number in each cell, but line {line.number} of {path} has {full(row)} cells under "
-                f"{table.width} heads; is a comma in a number also the separator?"
+                f"{table.width} heads, as where a comma in a number is also the separator."
             )
         row += [""] * (max(table.places) + 1 - len(row))
         cells.append((bare(row[table.places[0]]), bare(row[table.places[1]])))

@@ -61,18 +61,17 @@ def _text_of(path: pathlib.Path) -> list[tuple[str, str]]:
 
 
 def _lines(text: str) -> list[Line]:
-    """The lines that are not blank; a quoted cell may go over several."""
-    lines, begin, part = [], 1, ""
-    for number, line in enumerate(re.split(r"\r\n|\r|\n", text), 1):
-        part = f"{part} {line}" if part else line
-        if part.count('"') % 2 and part.count('"') < 40:
-            continue
-        stripped = part.strip()
+    """The lines that are not blank; a quoted cell of a head may go over a few."""
+    raw, lines, i = re.split(r"\r\n|\r|\n", text), [], 0
+    while i < len(raw):
+        line, behind = raw[i], i + 1
+        if line.count('"') % 2:  # the quote is closed in one of the next lines, or is a sign for inches
+            closing = next((k for k in range(behind, min(behind + 3, len(raw))) if raw[k].count('"') % 2), i)
+            line, behind = " ".join(raw[i : closing + 1]), closing + 1
+        stripped = line.strip()
         if stripped.strip(",;|\t "):
-            lines.append(Line(begin, part, bool(re.match(r"#(?![a-z]+[!/])|%|//", stripped, re.IGNORECASE))))
-        begin, part = number + 1, ""
-    if part.strip():
-        lines.append(Line(begin, part, False))
+            lines.append(Line(i + 1, line, bool(re.match(r"#(?![a-z]+[!/])|%|//", stripped, re.IGNORECASE))))
+        i = behind
     return lines
 
 
@@ -125,15 +124,18 @@ def bare(cell: str) -> str:
     return re.sub(r"(?<=\d)[\s'’\u00a0\u202f](?=\d{3})", "", cell.strip().strip("'\"")).replace("−", "-")
 
 
+def _numeric_row(text: str, separator: str) -> list[str]:
+    """The cells of a line, if it may be a row of numbers: two at least, and half of it where blanks separate words too."""
+    row = split(text, separator)
+    count = sum(map(_is_numeric, row))
+    return row if count >= 2 and ("blanks" not in separator or 2 * count >= len(row)) else []
+
+
 def _first_row(lines: Sequence[Line]) -> int:
-    """The first line of numbers: the first that, however it is split, begins a table of at least two numbers."""
+    """The first line that is a row of numbers, however it is split."""
     for i, line in enumerate(lines):
-        if line.remark:
-            continue
-        for separator in _SEPARATORS:
-            row = [c for c in split(line.text, separator) if c]
-            if len(row) > 1 and sum(map(_is_numeric, row)) >= 2:
-                return i
+        if not line.remark and any(_numeric_row(line.text, s) for s in _SEPARATORS):
+            return i
     return len(lines)
 
 
@@ -191,8 +193,8 @@ def _no_columns(path, lines: list[Line], first: int, columns) -> str:
 def _ways(lines: list[Line], first: int) -> Iterator[tuple[str, int]]:
     """How the first row of numbers may be split, and into how many cells."""
     for separator in _SEPARATORS:
-        row = split(lines[first].text, separator)
-        if full(row) > 1 and sum(map(_is_numeric, row)) >= 2:
+        row = _numeric_row(lines[first].text, separator)
+        if row:
             yield separator, len(row)
 
 
@@ -202,17 +204,20 @@ def _by_head(lines: list[Line], first: int, head: Line, columns) -> Table | None
     found: list[tuple[bool, Table]] = []
     for (separator, width), of_head in itertools.product(_ways(lines, first), _SEPARATORS):
         cells = _split_head(head.text, of_head)
-        if len(cells) < 2 or (len(cells) < width and full(split(lines[first].text, separator)) > len(cells)):
+        if len(cells) < 2 or (separator in ("blanks", "two or more blanks") and len(cells) != width):
             continue
-        if separator in ("blanks", "two or more blanks") and len(cells) != width:
+        # fewer heads than cells only where the same sign separates both: the row is refused later, with its line
+        if separator != of_head and full(split(lines[first].text, separator)) > len(cells):
             continue
         try:
             places, heads = _choose(cells, columns)
         except ValueError as error:
             unclear = unclear or ValueError(f"line {head.number}: {error}")
             continue
-        if places:
-            found.append((separator != of_head, Table(separator, places, heads, len(cells), first)))
+        if places and max(places) < width:
+            found.append(
+                (separator != of_head or len(cells) < width, Table(separator, places, heads, len(cells), first))
+            )
     if found:
         return min(found, key=lambda pair: pair[0])[1]
     if unclear is not None:
@@ -268,10 +273,14 @@ def _with_units(path, lines, head: Line | None, table: Table, column_units) -> T
     """The table with the units that are given, or that stand in the head, or in the line below it."""
     heads = list(table.heads)
     between = [] if head is None else [line for line in lines[: table.first] if line.number > head.number]
-    rows = [_split_head(line.text, table.separator) for line in between]
+    rows = [split(line.text, table.separator) for line in between]
+    numbers = [any(_is_numeric(row[p]) for p in table.places if p < len(row)) for row in rows]
+    if any(numbers):  # rows that lack one of the two numbers
+        table = dataclasses.replace(table, first=table.first - len(rows) + numbers.index(True))
+        rows = rows[: numbers.index(True)]
     for k, (quantity, place) in enumerate(zip(QUANTITIES, table.places, strict=True)):
         unit = heads[k].unit if column_units is None else column_units[k]
-        below = [re.sub(r"^[\[(]|[\])]$", "", row[place].strip()) for row in rows if len(row) > place]
+        below = [re.sub(r"^[\[(]|[\])]$", "", row[place]) for row in rows if len(row) > place]
         if unit is None and any(below):
             unit = next(u for u in below if u)
         try:
