@@ -61,7 +61,7 @@ _ROOMS = {
         "snap_point",
         "snap_voltage",
     ),
-    "measurements": ("read_measurement",),
+    "measurements": ("Measurement", "read_measurement"),
     "calibration": ("Calibration", "calibrate"),
     "axes": ("Axis", "read_scenes", "samples", "zipped"),
     "columns": ("Answer",),
@@ -143,7 +143,7 @@ if typing.TYPE_CHECKING:
         VHBBreakdown,
         stresses,
     )
-    from .measurements import read_measurement
+    from .measurements import Measurement, read_measurement
     from .membrane import Membrane, Profile, vhb_4910
     from .objectives import Optimum, maximise
     from .outcomes import FoldAhead, Outcome, Regime

@@ -196,6 +196,16 @@ def _parser() -> Parser:
         "calibrate", parents=[common], help="constants of a measured pressure–volume curve", description=_DESCRIPTION
     )
     fit.add_argument("data", metavar="DATA.csv", help="columns volume and pressure; with units in the first line --si")
+    fit.add_argument(
+        "--columns", nargs=2, metavar=("V", "P"), help="the two columns, by heads or places (by their names)"
+    )
+    fit.add_argument("--column-units", nargs=2, metavar=("V", "P"), help="their units, such as ml kPa (from the heads)")
+    fit.add_argument(
+        "--branch", choices=["loading", "unloading", "all"], help="of a volume that rises and falls (loading)"
+    )
+    fit.add_argument(
+        "--atmospheric-pressure", type=_not_negative, metavar="PATM", help="subtract it from absolute pressures (0)"
+    )
     fit.add_argument("--voltage", type=_not_negative, default=0.0, metavar="PHI", help="voltage of the measurement (0)")
     fit.add_argument("--over", nargs="+", metavar="NAME", help="constants sought (those of the material, and μ in SI)")
     fit.add_argument("--loss", choices=["linear", "huber", "soft_l1"], default="linear", help="of residuals (linear)")

@@ -1,34 +1,33 @@
-"""Material constants from a measured pressure–volume curve, by least squares with exact Jacobians.
-
-The model of a measurement (V_i, p_i) is the equilibrium of that volume at the voltage of the experiment, from the explicit
-map: λa by Newton on V(λa; θ) = V_i, then p(λa; θ). Its derivatives by the constants θ follow from the implicit rule,
-dp/dθ = ∂p/∂θ − (∂p/∂λa) (∂V/∂θ)/(∂V/∂λa), through forward-mode autodiff of the map.
-"""
+"""Material constants from a measured pressure–volume curve, by least squares with exact Jacobians (`curve_model`)."""
 
 import dataclasses
+import math
 import typing
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 from scipy.stats import t as student
 
-from .chart import explicit_map
+from .constants import sought_constants
+from .curve_model import LEAST_VOLUME, CurveModel
+from .fit_checks import check_determined, check_intervals, check_optimal, looks_absolute, misfit_warnings
+from .materials import ConstantBreakdown, VHBBreakdown
+from .measurements import BELOW_ZERO, runs_of
 from .membrane import Membrane
 from .results import check_positive
 from .units import Units
 
 __all__ = ["Calibration", "calibrate"]
 
-_NODES, _ROUNDS, _STEPS = 64, 15, 24.0
 _LOSSES = ("linear", "huber", "soft_l1")
 _MOST_STEPS = 200
 _ROUNDS_OF_SCALE = 12
 _HUBER = 1.345  # 95 % as efficient as least squares where the noise is normal
+_MODULI = 1e2, 1e9  # Pa, the shear moduli of gels to hard rubbers
+_LEAST_LARGEST, _MOST = 0.02, 1e5  # A³; at the least the film is deflected by 1 % of its radius
 _MAD = 0.6744897501960817  # of a normal distribution's absolute deviations, the median
 
 
@@ -40,6 +39,7 @@ class Calibration:
     estimates in the order of `parameters`. `volume`, `pressure`, `fit` (n,) are the measurement and the model at its
     volumes, in the units of the measurement; `residuals` = pressure − fit; `noise` is the estimated standard deviation of
     one pressure; `membrane` is the membrane with the constants put in, `units` the units with the shear modulus.
+    `warnings` are sentences on what makes the constants doubtful: above all a misfit that is no noise.
     """
 
     parameters: dict[str, float]
@@ -52,6 +52,7 @@ class Calibration:
     fit: np.ndarray
     membrane: Membrane
     units: Units | None
+    warnings: tuple[str, ...] = ()
 
     @property
     def residuals(self) -> np.ndarray:
@@ -87,7 +88,10 @@ class Calibration:
         return upper.figure
 
     def to_json(self) -> dict:
-        """Everything but the membrane as a JSON document."""
+        """Everything but the membrane as a JSON document; null where a number is not finite."""
+        return _finite_or_none(self._document())
+
+    def _document(self) -> dict:
         return {
             "units": "dimensionless" if self.units is None else "SI",
             "parameters": self.parameters,
@@ -99,99 +103,29 @@ class Calibration:
             "pressure": self.pressure.tolist(),
             "fit": self.fit.tolist(),
             "residuals": self.residuals.tolist(),
+            "warnings": list(self.warnings),
         }
 
 
-def _logs(above, material, prestretch, q):
-    """log V and log p at λa = λ0 + e^above, elementwise."""
-    p, v = explicit_map(material, prestretch + jnp.exp(above), q, prestretch, _STEPS)[:2]
-    return jnp.stack([jnp.log(v), jnp.log(p)])
+def _finite_or_none(value: typing.Any) -> typing.Any:
+    """The document without infinities and NaN, which JSON does not have."""
+    if isinstance(value, dict):
+        return {name: _finite_or_none(v) for name, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite_or_none(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-@eqx.filter_jit
-def _table(membrane, q, top):
-    nodes = jnp.linspace(jnp.log(1e-4), jnp.log(top), _NODES)
-    return nodes, _logs(nodes, membrane.material, membrane.prestretch, q)[0]
-
-
-def _nearest(membrane: Membrane, volume, q, top) -> np.ndarray:
-    """log(λa − λ0) about the volumes, from a table; the flat end under voltage and the far end may hold no states."""
-    nodes, logs = (np.asarray(v) for v in _table(membrane, q, top))
-    good = np.isfinite(logs)
-    if good.sum() < 2:
-        raise ValueError(f"`membrane` must have states at this voltage, but {membrane!r} has none.")
-    return np.interp(np.log(volume), np.maximum.accumulate(logs[good]), nodes[good])
-
-
-def _pressures(material, prestretch, volume, q, near):
-    """p of the equilibria at the volumes (n,) and load q, where V rises with λa; `near` is log(λa − λ0) to start from.
-
-    Differentiable in the material's constants, the prestretch and q, in forward mode.
-    """
-    goal, frozen = jnp.log(volume), jax.lax.stop_gradient((material, prestretch, q))
-
-    def newton(state):
-        above, _, k, _ = state
-        value, slope = jax.jvp(lambda x: _logs(x, *frozen), (above,), (jnp.ones_like(above),))[:2]
-        move = jnp.clip((goal - value[0]) / slope[0], -0.5, 0.5)
-        return above + move, slope, k + 1, jnp.max(jnp.abs(move))
-
-    def going(state):
-        return (state[2] < _ROUNDS) & ~(state[3] < 1e-7)
-
-    begin = near, jnp.ones((2, *near.shape)), 0, jnp.asarray(jnp.inf)
-    above, slope, *_ = jax.lax.stop_gradient(jax.lax.while_loop(going, newton, begin))
-    value = _logs(above, material, prestretch, q)
-    # the last step of Newton, with the slopes held: its derivative is that of the implicit function
-    return jnp.exp(value[1] + slope[1] / slope[0] * (goal - value[0]))
-
-
-def _to_free(name: str, value):
-    return jnp.log(value - 1) if name == "prestretch" else jnp.log(value)
-
-
-def _from_free(name: str, free):
-    return 1 + jnp.exp(free) if name == "prestretch" else jnp.exp(free)
-
-
-def _put(membrane: Membrane, names: Sequence[str], values):
-    """Material and prestretch with the constants put in."""
-    material, prestretch = membrane.material, membrane.prestretch
-    for name, value in zip(names, values, strict=True):
-        if name == "prestretch":
-            prestretch = value
-        elif name != "shear_modulus":
-            material = eqx.tree_at(lambda m, name=name: getattr(m, name), material, jnp.asarray(value, float))
-    return material, prestretch
-
-
-@eqx.filter_jit
-def _model(free, membrane, volume, q_scale, near, names):
-    """The model's pressures (n,) and their exact Jacobian (n, m) by the free parameters, whose `names` are static.
-
-    With a shear modulus μ among the names pressures are in units of H/A, and q = q_scale/μ.
-    """
-
-    def model(free):
-        values = [_from_free(n, f) for n, f in zip(names, free, strict=True)]
-        material, prestretch = _put(membrane, names, values)
-        shear = values[names.index("shear_modulus")] if "shear_modulus" in names else jnp.asarray(1.0)
-        pressure = shear * _pressures(material, prestretch, volume, q_scale / shear, near)
-        return pressure, pressure
-
-    jacobian, pressure = jax.jacfwd(model, has_aux=True)(free)
-    return pressure, jacobian
-
-
-def _minimum(model: Callable, free: np.ndarray, pressure: np.ndarray, loss: str, scale: float) -> np.ndarray:
+def _minimum(curve: CurveModel, free: np.ndarray, pressure: np.ndarray, loss: str, scale: float) -> np.ndarray:
     """The free parameters of the least loss, with residuals in units of `scale`, by SciPy's trust region."""
     known: dict = {}
+    far = 1e3 * float(np.abs(pressure).max())
 
     def at(x):
         if known.get("x") is None or (known["x"] != x).any():
-            value, jacobian = (np.asarray(v) for v in model(jnp.asarray(x)))
-            # where the material locks before the largest volume there is no state: far from the data
-            value = np.where(np.isfinite(value), value, 1e3 * pressure)
+            value, jacobian = curve(x)
+            # where there is no state, or a constant is not allowed: far from the data, so that the step is taken back
+            value = np.where(np.isfinite(value), value, far)
             known.update(x=np.array(x), residual=(value - pressure) / scale, jacobian=np.nan_to_num(jacobian) / scale)
         return known
 
@@ -199,6 +133,7 @@ def _minimum(model: Callable, free: np.ndarray, pressure: np.ndarray, loss: str,
         lambda x: at(x)["residual"],
         free,
         jac=lambda x: at(x)["jacobian"],  # pyright: ignore[reportArgumentType]
+        bounds=(curve.lowest, np.inf),
         loss=loss,
         f_scale=_HUBER if loss == "huber" else 1.0,
         x_scale="jac",
@@ -225,15 +160,17 @@ def calibrate(
     """Constants of a membrane from its measured pressure–volume curve.
 
     Minimises Σ ρ((p_i − p(V_i; θ))/σ) over θ, with ρ(x) = x²/2 ("linear"), Huber's, or √(1 + x²) − 1 ("soft_l1"), which
-    an outlier hardly moves. The intervals are those of linearised least squares in log θ (log(λ0 − 1) for the prestretch)
-    with Student's t; under a robust loss the covariance is that of an M-estimator.
+    an outlier hardly moves. The intervals are those of linearised least squares in log θ (in θ itself for the prestretch and
+    for constants of either sign) with Student's t; under a robust loss the covariance is that of an M-estimator. Where the
+    starting values do not reach the largest volume, positive constants are raised until they do.
 
     Args:
         volume: measured volumes (n,) under the membrane.
-        pressure: measured pressures (n,).
+        pressure: measured pressures (n,), above the atmosphere's.
         membrane: material, prestretch and the constants that stay; those sought are starting values.
-        over: names of the constants: those of the material, "prestretch", and with `units` "shear_modulus". By default the
-            shear modulus, where there are units, and every constant of the material.
+        over: names of the constants: those of the material (of a tuple `moduli` all, or `moduli[0]`), "prestretch", and
+            with `units` "shear_modulus". By default the shear modulus, where there are units, and every constant of the
+            elasticity but exponents; without the shear modulus where the constants have it as their unit, as in MooneyRivlin.
         units: where given, the measurement is in SI (m³, Pa, and `voltage` in V); its shear modulus is a starting value.
         voltage: Φ during the measurement.
         loss: "linear", "huber" or "soft_l1".
@@ -241,7 +178,8 @@ def calibrate(
         level: of the confidence intervals.
 
     Raises:
-        ValueError: for bad input, and where no fit is found.
+        ValueError: for bad input; where no fit is found; for constants that the curve does not determine; for a curve that
+            the material does not follow at all.
 
     >>> import numpy as np
     >>> from dielectric_jax import Gent, equilibrium
@@ -253,11 +191,169 @@ def calibrate(
     """
     membrane = Membrane() if membrane is None else membrane
     volume, pressure = _measured(volume, pressure)
-    names = _names(membrane, over, units)
+    names = sought_constants(membrane.material, over, units is not None)
+    _check_options(loss, level, voltage, noise)
+    volume, pressure, warnings = _usable(volume, pressure, units)
     if len(volume) <= len(names):
         raise ValueError(
             f"`volume` must hold more points than constants are sought, {len(names)}, but holds {len(volume)}."
         )
+    # volumes without unit, pressures in units of the one that "shear_modulus" multiplies, q times that
+    of_volume, of_pressure, q_scale = _scales(names, units, float(voltage))
+    shear = 1.0 if units is None else float(units.shear_modulus)
+    curve = CurveModel(membrane, names, volume / of_volume, q_scale, shear)
+    try:
+        fit = _fit(curve, pressure / of_pressure, loss, None if noise is None else noise / of_pressure)
+        found = _result(curve, fit, level, volume, pressure, of_pressure, units)
+        warnings += check_intervals(found.intervals, found.parameters, level)
+        seek = "" if "prestretch" in names else "seek the prestretch too, "
+        warnings += misfit_warnings(
+            volume,
+            pressure,
+            found.fit,
+            robust=loss != "linear",
+            noise=noise,
+            unit="" if units is None else " Pa",
+            advice=f"{seek}take another material, or check the units, the radius and the zero of the pressures.",
+        )
+    except ValueError as error:
+        if units is not None and looks_absolute(volume, pressure):
+            raise ValueError(_ABSOLUTE.format(low=float(pressure.min()), high=float(pressure.max()))) from error
+        raise
+    return dataclasses.replace(found, warnings=tuple(warnings + _doubtful(found)))
+
+
+_ABSOLUTE = (
+    "`pressure` must be above the atmosphere's, but is {low:.6g} to {high:.6g} Pa from the smallest volume on, which looks "
+    "absolute, and no fit follows it; subtract the atmospheric pressure, about 101.3 kPa."
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Fit:
+    """The best free parameters (m,), the model's pressures there (n,), their Jacobian (n, m), and their noise.
+
+    `spread` is the factor on (JᵀJ)^-½ of the estimates' errors.
+    """
+
+    free: np.ndarray
+    pressure: np.ndarray
+    jacobian: np.ndarray
+    noise: float
+    spread: float
+
+
+def _fit(curve: CurveModel, pressure: np.ndarray, loss: str, noise: float | None) -> _Fit:
+    """The best fit, checked: a minimum whose constants the curve determines."""
+    start = curve.reachable_start()
+    free = np.maximum(curve.free_of(curve.scaled(start, pressure)), curve.lowest)
+    largest = float(np.abs(pressure).max())
+    scale = 0.02 * largest if noise is None else noise
+    curve.refine(start)
+    free = _minimum(curve, free, pressure, "linear", scale)
+    if curve.refine(curve.values_of(free)):
+        free = _minimum(curve, free, pressure, "linear", scale)
+    for _ in range(_ROUNDS_OF_SCALE if loss != "linear" else 0):
+        if noise is None:  # the scale of a robust loss is that of its own residuals
+            scale = max(float(np.median(np.abs(pressure - curve(free)[0]))) / _MAD, 1e-9 * largest)
+        free, before = _minimum(curve, free, pressure, loss, scale), free
+        if np.abs(free - before).max() < 1e-9:
+            break
+    fit, jacobian = curve(free)
+    values, residual = curve.values_of(free), pressure - fit
+    if not np.isfinite(fit).all():
+        raise ValueError(
+            f"`pressure` must be a curve that the material can follow, but no fit of {', '.join(curve.names)} was found from "
+            f"{ {n: float(s) for n, s in curve.start.items()} }; start elsewhere, or seek fewer constants."
+        )
+    check_determined(curve.start, values, jacobian, pressure)
+    pull = residual if loss == "linear" else scale * _psi(residual / scale, loss)[0]
+    check_optimal(curve.start, values, jacobian, pull, pressure, free - curve.lowest < 1e-3)
+    freedom = len(pressure) - len(free)
+    spread = _spread(residual, freedom, loss, scale, noise is not None)
+    own = float(np.sqrt(residual @ residual / freedom)) if loss == "linear" else scale
+    return _Fit(free, fit, jacobian, own, spread)
+
+
+def _result(curve: CurveModel, fit: _Fit, level, volume, pressure, of_pressure: float, units) -> Calibration:
+    """The constants with their intervals, and the membrane and units that have them."""
+    names, values = curve.names, curve.values_of(fit.free)
+    # through the QR decomposition: JᵀJ would square the Jacobian's condition
+    inverse = np.linalg.inv(np.linalg.qr(fit.jacobian, mode="r"))
+    covariance = inverse @ inverse.T * fit.spread**2
+    error = np.sqrt(np.diag(covariance))
+    reach = student.ppf((1 + level) / 2, len(volume) - len(names)) * error
+    low, high = (curve.values_of(np.maximum(fit.free + s * reach, curve.lowest)) for s in (-1, 1))
+    membrane = curve.membrane_of(values)
+    if units is not None and "shear_modulus" in names:
+        before = units
+        units = eqx.tree_at(lambda u: u.shear_modulus, units, np.asarray(values["shear_modulus"]))
+        membrane = Membrane(membrane.material, membrane.prestretch, _law_in(membrane.breakdown, before, units))
+    return Calibration(
+        parameters=values,
+        intervals={n: (low[n], high[n]) for n in names},
+        level=level,
+        correlation=covariance / np.outer(error, error),
+        noise=fit.noise * of_pressure,
+        volume=volume,
+        pressure=pressure,
+        fit=fit.pressure * of_pressure,
+        membrane=membrane,
+        units=units,
+    )
+
+
+def _psi(x, loss: str):
+    """ψ = ρ' of a robust loss, and its rate."""
+    if loss == "huber":
+        return np.clip(x, -_HUBER, _HUBER), np.abs(x) < _HUBER
+    return x / np.sqrt(1 + x**2), (1 + x**2) ** -1.5
+
+
+def _spread(residual, freedom: int, loss: str, scale: float, known: bool) -> float:
+    """The factor on (JᵀJ)^-½ of the estimates' errors, Huber's for M-estimators: s √(Σψ²/(n − m)) / mean ψ'."""
+    if loss == "linear":
+        return scale if known else float(np.sqrt(residual @ residual / freedom))
+    psi, rate = _psi(residual / scale, loss)
+    return float(scale * np.sqrt(psi @ psi / freedom) / np.mean(rate))
+
+
+def _law_in(law, before: Units, units: Units):
+    """The breakdown law with the same field in V/m, in the new unit √(μ/ε)."""
+    if isinstance(law, VHBBreakdown):
+        return VHBBreakdown(law.scale, units.shear_modulus, law.relative_permittivity)
+    return units.reduce(before.to_si(law)) if isinstance(law, ConstantBreakdown) else law
+
+
+def _scales(names: Sequence[str], units: Units | None, voltage: float) -> tuple[float, float, float]:
+    """The units of the curve's volumes and pressures, and q times the shear modulus where that is sought."""
+    if units is None:
+        return 1.0, 1.0, voltage**2
+    of_volume = float(units.scale("volume"))
+    if "shear_modulus" in names:
+        return (
+            of_volume,
+            float(units.thickness / units.radius),
+            float(voltage**2 * units.permittivity / units.thickness**2),
+        )
+    return of_volume, float(units.scale("pressure")), float(voltage**2 / units.scale("voltage_squared"))
+
+
+def _doubtful(found: Calibration) -> list[str]:
+    """What else makes the constants doubtful."""
+    said = []
+    if len(runs_of(found.volume)) > 1:
+        said.append("The volume rises and falls: loading and unloading are fitted together; give one of them.")
+    low, high = _MODULI
+    shear = found.parameters.get("shear_modulus", 0.5 * (low + high))
+    if not low < shear < high:
+        said.append(
+            f"The shear modulus, {shear:.3g} Pa, is none of an elastomer; check the units, the thickness and the radius."
+        )
+    return said
+
+
+def _check_options(loss: str, level: float, voltage: float, noise: float | None) -> None:
     if loss not in _LOSSES:
         raise ValueError(f"`loss` must be one of {', '.join(_LOSSES)}, but is {loss!r}.")
     if not 0 < level < 1:
@@ -265,115 +361,38 @@ def calibrate(
     check_positive("voltage", float(voltage), zero=True)
     if noise is not None:
         check_positive("noise", float(noise))
-    start = {n: _start_of(n, membrane, units) for n in names}
-    # volumes without unit, pressures in units of the one that "shear_modulus" multiplies, q times that
-    of_volume, of_pressure, q_scale = 1.0, 1.0, float(voltage) ** 2
-    if units is not None:
-        of_volume = float(units.scale("volume"))
-        of_pressure = float(units.thickness / units.radius)
-        q_scale = float(voltage**2 * units.permittivity / units.thickness**2)
-        if "shear_modulus" not in names:
-            of_pressure, q_scale = float(units.scale("pressure")), float(voltage**2 / units.scale("voltage_squared"))
-    v, p = volume / of_volume, pressure / of_pressure
-    top = 2.0 + 4.0 * float(v.max()) ** (1 / 3)
-    near = _nearest(membrane, v, np.asarray(q_scale / start.get("shear_modulus", 1.0)), np.asarray(top))
-    free = np.array([float(_to_free(n, start[n])) for n in names])
-    # arrays, as plain numbers would be compiled in
-    given = membrane, v, np.asarray(q_scale), near, tuple(names)
-    scale = 0.02 * float(np.median(p)) if noise is None else noise / of_pressure
-
-    def model(free):
-        return _model(free, *given)
-
-    free = _minimum(model, free, p, "linear", scale)
-    for _ in range(_ROUNDS_OF_SCALE if loss != "linear" else 0):
-        if noise is None:  # the scale of a robust loss is that of its own residuals
-            scale = max(float(np.median(np.abs(p - np.asarray(model(jnp.asarray(free))[0])))) / _MAD, 1e-9 * p.mean())
-        free, before = _minimum(model, free, p, loss, scale), free
-        if np.abs(free - before).max() < 1e-9:
-            break
-    fit, jacobian = (np.asarray(x) for x in model(jnp.asarray(free)))
-    if not (np.isfinite(fit).all() and np.isfinite(jacobian).all()):
-        raise ValueError(
-            f"`pressure` must be a curve that the material can follow, but no fit of {', '.join(names)} was found from "
-            f"{ {n: float(s) for n, s in start.items()} }; start elsewhere, or seek fewer constants."
-        )
-    residual, freedom = p - fit, len(p) - len(names)
-    spread = _noise(residual, freedom, loss, scale, noise is not None)
-    try:
-        covariance = np.linalg.inv(jacobian.T @ jacobian) * spread**2
-    except np.linalg.LinAlgError:
-        covariance = np.full((len(names), len(names)), np.inf)
-    error = np.sqrt(np.diag(covariance))
-    reach = student.ppf((1 + level) / 2, freedom) * error
-    with np.errstate(all="ignore"):
-        correlation = covariance / np.outer(error, error)
-        ends = [[float(_from_free(n, x + s * r)) for s in (-1, 1)] for n, x, r in zip(names, free, reach, strict=True)]
-    values = [float(_from_free(n, x)) for n, x in zip(names, free, strict=True)]
-    material, prestretch = _put(membrane, names, values)
-    if units is not None and "shear_modulus" in names:
-        units = eqx.tree_at(lambda u: u.shear_modulus, units, np.asarray(values[names.index("shear_modulus")]))
-    return Calibration(
-        parameters=dict(zip(names, values, strict=True)),
-        intervals={n: (e[0], e[1]) for n, e in zip(names, ends, strict=True)},
-        level=level,
-        correlation=correlation,
-        noise=float(np.sqrt(residual @ residual / freedom) if loss == "linear" else scale) * of_pressure,
-        volume=volume,
-        pressure=pressure,
-        fit=fit * of_pressure,
-        membrane=Membrane(jax.tree.map(np.asarray, material), float(prestretch), membrane.breakdown),
-        units=units,
-    )
-
-
-def _noise(residual, freedom: int, loss: str, scale: float, known: bool) -> float:
-    """The factor on (JᵀJ)^-½ of the estimates' errors, Huber's for M-estimators: s √(Σψ²/(n − m)) / mean ψ'."""
-    if loss == "linear":
-        return scale if known else float(np.sqrt(residual @ residual / freedom))
-    x = residual / scale
-    if loss == "huber":
-        psi, rate = np.clip(x, -_HUBER, _HUBER), np.abs(x) < _HUBER
-    else:
-        psi, rate = x / np.sqrt(1 + x**2), (1 + x**2) ** -1.5
-    return float(scale * np.sqrt(psi @ psi / freedom) / np.mean(rate))
 
 
 def _measured(volume, pressure) -> tuple[np.ndarray, np.ndarray]:
     volume, pressure = np.asarray(volume, float), np.asarray(pressure, float)
     for name, values in (("volume", volume), ("pressure", pressure)):
-        if values.ndim != 1 or values.shape != volume.shape:
+        if values.ndim != 1 or values.shape != volume.shape or not values.size:
             raise ValueError(
                 f"`{name}` must be one row of numbers, as long as the other, but has shape {values.shape}."
             )
-        wrong = np.flatnonzero(~(np.isfinite(values) & (values > 0)))
-        if wrong.size:
+        least = (
+            0.0 if name == "volume" else -BELOW_ZERO * max(np.max(values, initial=0.0, where=np.isfinite(values)), 0.0)
+        )
+        good = np.isfinite(values) & ((values > 0) | (values > least))
+        if not good.all():
+            wrong = int(np.flatnonzero(~good)[0])
             raise ValueError(
-                f"`{name}` must be positive and finite, but is {float(values[wrong[0]])!r} at point {wrong[0]}."
+                f"`{name}` must be positive and finite, but is {float(values[wrong])!r} at point {wrong}."
+                + ("" if name == "volume" else f" (Down to −{100 * BELOW_ZERO:g} % of the largest counts as noise.)")
             )
     return volume, pressure
 
 
-def _names(membrane: Membrane, over, units) -> list[str]:
-    own = [
-        f.name
-        for f in dataclasses.fields(membrane.material)
-        if eqx.is_inexact_array(getattr(membrane.material, f.name))
-    ]
-    own = [n for n in own if np.ndim(getattr(membrane.material, n)) == 0]
-    allowed = own + ["prestretch"] + ["shear_modulus"] * (units is not None)
-    names = ["shear_modulus"] * (units is not None) + own if over is None else list(over)
-    for name in names:
-        if name not in allowed:
-            raise ValueError(f"`over` must name some of {', '.join(allowed)}, but holds {name!r}.")
-    if not names or len(set(names)) < len(names):
-        raise ValueError(f"`over` must name one constant or more, each once, but is {names!r}.")
-    return names
-
-
-def _start_of(name: str, membrane: Membrane, units: Units | None) -> float:
-    if name == "shear_modulus":
-        return float(typing.cast(Units, units).shear_modulus)
-    if name == "prestretch":
-        return max(float(membrane.prestretch), 1.02)
-    return float(getattr(membrane.material, name))
+def _usable(volume, pressure, units: Units | None) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """The points whose volume is that of an inflated film, and what is said of the others."""
+    cube = 1.0 if units is None else float(units.scale("volume"))
+    unit = "" if units is None else f" of a film of radius {float(units.radius):.4g} m"
+    share = volume / cube
+    if not _LEAST_LARGEST < share.max() < _MOST:
+        raise ValueError(
+            f"`volume` must be that of an inflated film, but the largest is {share.max():.3g} A³{unit}, where {_LEAST_LARGEST} to "
+            f"{_MOST:g} A³ are possible; check the unit of the volumes and the radius."
+        )
+    keep = share >= LEAST_VOLUME
+    said = f"{np.sum(~keep)} points are left out whose volume is below {LEAST_VOLUME:g} A³, where the film is flat."
+    return volume[keep], pressure[keep], [] if keep.all() else [said]

@@ -206,15 +206,26 @@ def _run_optimise(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[],
 
 
 def _run_calibrate(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
-    volume, pressure, in_si = dj.read_measurement(args.data)
-    if in_si and args.units is None:
+    read = {n: getattr(args, n) for n in ("columns", "column_units", "branch", "atmospheric_pressure")}
+    if args.units is not None:
+        read["atmospheric_pressure"] = args.units.to_si(args.atmospheric_pressure, "atmospheric_pressure")
+    data = dj.read_measurement(args.data, **read)
+    if data.in_si and args.units is None:
         raise ValueError(f"--si must be given with a DATA.csv that names units, but is not with {args.data}.")
     # of a measurement the voltage and the noise stay in the units of the pressures
-    voltage = args.voltage if args.units is None else args.units.to_si(args.voltage, "voltage")
+    units = args.units
+    voltage = args.voltage if units is None else units.to_si(args.voltage, "voltage")
     asked = {n: getattr(args, n) for n in ("over", "loss", "noise", "level")}
-    found = dj.calibrate(volume, pressure, membrane=_membrane(dj, args), units=args.units, voltage=voltage, **asked)
-    args.units = None  # the document is in SI already
-    return {"scene": dj.describe(found.membrane), **found.to_json()}, found.plot
+    membrane = _membrane(dj, args)
+    # all that is said from here on, and the document, is in SI already
+    args.units, args.si = None, False
+    found = dj.calibrate(data.volume, data.pressure, membrane=membrane, units=units, voltage=voltage, **asked)
+    document = {"scene": dj.describe(found.membrane), **found.to_json(), "notices": list(data.notices)}
+    document |= {n: [option_names(v, args) for v in document[n]] for n in ("notices", "warnings")}
+    if args.json is not None or args.figure is not None:
+        for sentence in (*document["notices"], *document["warnings"]):
+            print(f"{PROGRAM}: {sentence}", file=sys.stderr, flush=True)
+    return document, found.plot
 
 
 _COMMANDS = {

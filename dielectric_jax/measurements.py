@@ -1,62 +1,262 @@
 """Measured pressure–volume curves from files."""
 
-import csv
+import dataclasses
 import pathlib
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-__all__ = ["read_measurement"]
+from .text_tables import NUMBER, QUANTITIES, Line, Table, bare, full, split, table_of
 
-_SI = {
-    "volume": {
-        "m³": 1.0,
-        "m3": 1.0,
-        "L": 1e-3,
-        "l": 1e-3,
-        "ml": 1e-6,
-        "cm³": 1e-6,
-        "cm3": 1e-6,
-        "mm³": 1e-9,
-        "mm3": 1e-9,
-    },
-    "pressure": {"Pa": 1.0, "hPa": 100.0, "mbar": 100.0, "kPa": 1e3, "bar": 1e5, "psi": 6894.757293168},
-}
+__all__ = ["BELOW_ZERO", "BRANCHES", "Measurement", "read_measurement", "runs_of"]
+
+BRANCHES = ("loading", "unloading", "all")
+
+_MISSING = {"", "-", "--", "?", "na", "n/a", "nan", "null", "none", "nil", "#n/a", "#value!", "#div/0!", "missing", "."}
+_TURN = 0.1  # a share of the largest volume: smaller reversals are noise of the volume
+_SHORTEST_RUN = 4  # points a run has at least on average, where the points are in the order of time
+BELOW_ZERO = 0.25  # a share of the largest pressure: pressures down to minus that are noise
+_ZERO = 0.01  # a share of the largest volume: volumes down to minus that are noise about the flat membrane
 
 
-def read_measurement(file: str | pathlib.Path) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Volumes and pressures of a CSV file, and whether its header names units; then they are converted to SI.
+@dataclasses.dataclass(frozen=True)
+class Measurement:
+    """Volumes and pressures (n,) of a file, in the order of its lines, and what was left out.
 
-    The first line names the columns: `volume,pressure`, or with units `volume [ml],pressure [mbar]`; further columns and
-    lines that begin with # are left out.
-    Raises ValueError for a file that holds no such columns, or something that is no number.
+    Iterating gives `volume`, `pressure`, `in_si`: whether the file names units, so that the numbers are in m³ and Pa.
+    `lines` (n,) are the points' lines in the file; `notices` are sentences on what was left out or assumed.
+    """
+
+    volume: np.ndarray
+    pressure: np.ndarray
+    in_si: bool
+    lines: np.ndarray
+    notices: tuple[str, ...]
+
+    def __iter__(self) -> Iterator:
+        return iter((self.volume, self.pressure, self.in_si))
+
+
+def read_measurement(
+    file: str | pathlib.Path,
+    *,
+    columns: Sequence[str | int] | None = None,
+    column_units: Sequence[str] | None = None,
+    branch: str | None = None,
+    atmospheric_pressure: float | None = None,
+) -> Measurement:
+    """Volumes and pressures of a text file, and whether it names units; then they are converted to SI.
+
+    A line above the numbers names the columns: `volume,pressure`, or with units `volume [ml],pressure [mbar]`; it may be a
+    remark, and units may stand in the next line. Columns are separated by commas, semicolons, tabs, bars or blanks;
+    decimal commas are understood where the file cannot mean anything else. Other columns, remarks (`#`, `%`, `//`) and
+    lines without one of the two numbers are left out, and so are points at zero volume. See docs/calibration.md.
+
+    Args:
+        file: its path.
+        columns: the columns of volume and pressure, by their whole heads or their places (1 is the first).
+        column_units: their units, such as ("ml", "kPa"), where the file does not name them.
+        atmospheric_pressure: subtracted from absolute pressures; in Pa where there are units.
+        branch: "loading" or "unloading" where the volume rises and falls, or "all"; by default loading.
+
+    Raises:
+        ValueError: for a file that holds no such columns, or something that is no number, with its line.
     """
     path = pathlib.Path(file)
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"`data` must be a readable CSV file, but {path} is not: {error}.") from None
-    rows = [(i + 1, row) for i, row in enumerate(csv.reader(lines)) if row and not row[0].lstrip().startswith("#")]
-    heads = [re.fullmatch(r"\s*(\w+)\s*(?:\[(.+)\])?\s*", h) for h in rows[0][1]] if rows else []
-    columns: dict[str, tuple[int, float | None]] = {}
-    for k, head in enumerate(heads):
-        if head and (name := head[1].lower()) in _SI:
-            unit = head[2] and head[2].strip()
-            if unit and unit not in _SI[name]:
+    if branch is not None and branch not in BRANCHES:
+        raise ValueError(f"`branch` must be one of {', '.join(BRANCHES)}, but is {branch!r}.")
+    for name, given in (("columns", columns), ("column_units", column_units)):
+        if given is not None and len(given) != 2:
+            raise ValueError(f"`{name}` must be two, of volume and of pressure, but are {list(given)!r}.")
+    lines, table, notices = table_of(path, columns, column_units)
+    cells = _cells(path, lines[table.first :], table)
+    values, where, left = _numbers(path, cells, table)
+    notices += left
+    volume, pressure = values * np.array([h.size or 1.0 for h in table.heads])[:, None]
+    in_si = bool(table.heads[0].size)
+    if table.heads[1].absolute and atmospheric_pressure is None:
+        raise ValueError(
+            f"`data` must hold gauge pressures, but {path} names absolute ones; give `atmospheric_pressure` to subtract it."
+        )
+    pressure = pressure - (atmospheric_pressure or 0.0)
+    keep, said = _positive(path, volume, pressure, where)
+    notices += said
+    volume, pressure, where = volume[keep], pressure[keep], where[keep]
+    keep, said = _on_branch(volume, where, branch)
+    return Measurement(volume[keep], pressure[keep], in_si, where[keep], tuple(notices + said))
+
+
+# ---- numbers
+
+
+def _cells(path, lines: list[Line], table: Table) -> tuple[list[tuple[str, str]], list[int]]:
+    """The two cells of every row, bare, and the numbers of their lines."""
+    cells, where = [], []
+    for line in lines:
+        if line.remark:
+            continue
+        row = split(line.text, table.separator)
+        if full(row) > table.width:
+            raise ValueError(
+                f"`data` must hold a number in each cell, but line {line.number} of {path} has {full(row)} cells under "
+                f"{table.width} heads, as where a comma in a number is also the separator."
+            )
+        row += [""] * (max(table.places) + 1 - len(row))
+        cells.append((bare(row[table.places[0]]), bare(row[table.places[1]])))
+        where.append(line.number)
+    return cells, where
+
+
+def _is_missing(cell: str) -> bool:
+    return cell.lower() in _MISSING
+
+
+def _decimal_sign(path, cells, where) -> str:
+    """The sign "." or ",", whichever the file's numbers can only mean; refuses files that mean both, or that may mean either."""
+    seen: dict[str, int] = {}
+    unclear = 0
+    for pair, number in zip(cells, where, strict=True):
+        for digits in (m[1].lstrip("+-") for m in map(NUMBER.fullmatch, pair) if m):
+            signs = re.sub(r"\d", "", digits)
+            if not signs:
+                continue
+            last, groups = signs[-1], re.split(r"[.,]", digits)
+            grouped = all(len(g) == 3 for g in groups[1:]) and 1 <= len(groups[0]) <= 3 and groups[0] != "0"
+            if len(set(signs)) == 2 and signs.count(last) == 1:
+                seen.setdefault(last, number)
+            elif len(set(signs)) == 1 and len(signs) > 1 and grouped:
+                seen.setdefault("." if last == "," else ",", number)
+            elif len(signs) == 1 and not grouped:
+                seen.setdefault(last, number)
+            elif last == ",":
+                unclear = unclear or number
+    if len(seen) == 2:
+        point, comma = seen["."], seen[","]
+        raise ValueError(
+            f"`data` must use one decimal sign, but line {point} of {path} has a decimal point and line {comma} a decimal comma."
+        )
+    if not seen and unclear:
+        raise ValueError(
+            f"`data` must use a decimal sign that is clear, but the comma in line {unclear} of {path} may separate thousands "
+            "or decimals; write a decimal point."
+        )
+    return next(iter(seen), ".")
+
+
+def _value(cell: str, sign: str) -> float | None:
+    """The number of a cell; None where it is none."""
+    found = NUMBER.fullmatch(cell)
+    if not found:
+        return None
+    whole, _, rest = found[1].partition(sign)
+    other = "," if sign == "." else "."
+    if re.search(r"[.,]", rest) or (other in whole and not re.fullmatch(rf"[+-]?\d{{1,3}}(\{other}\d{{3}})+", whole)):
+        return None
+    return float(f"{whole.replace(other, '')}.{rest or '0'}e{found[2] or '0'}")
+
+
+def _numbers(path, rows, table: Table) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Numbers (2, n), their lines, and what is said of the lines left out."""
+    cells, where = rows
+    sign = _decimal_sign(path, cells, where)
+    values, kept, empty = [], [], []
+    for pair, number in zip(cells, where, strict=True):
+        if any(map(_is_missing, pair)) and all(_is_missing(c) or NUMBER.fullmatch(c) for c in pair):
+            empty += [] if all(c == "" for c in pair) else [number]
+            continue
+        found = [_value(c, sign) for c in pair]
+        for quantity, cell, value in zip(QUANTITIES, pair, found, strict=True):
+            if value is None or not np.isfinite(value):
                 raise ValueError(
-                    f"`data` must give the {name} in one of {', '.join(_SI[name])}, but {path} says {unit!r}."
+                    f"`data` must hold numbers, but line {number} of {path} has {cell!r} as its {quantity}."
                 )
-            columns[name] = k, _SI[name][unit] if unit else None
-    if set(columns) != set(_SI):
-        raise ValueError(f"`data` must have columns named volume and pressure, but {path} does not.")
-    if (columns["volume"][1] is None) != (columns["pressure"][1] is None):
-        raise ValueError(f"`data` must give units of both columns or of neither, but {path} does not.")
-    found: Mapping[str, list[float]] = {name: [] for name in _SI}
-    for number, row in rows[1:]:
-        for name, (k, factor) in columns.items():
-            try:
-                found[name].append(float(row[k]) * (factor or 1.0))
-            except (ValueError, IndexError):
-                raise ValueError(f"`data` must hold numbers, but line {number} of {path} does not.") from None
-    return np.array(found["volume"]), np.array(found["pressure"]), columns["volume"][1] is not None
+        values.append(found)
+        kept.append(number)
+    notices = [] if not empty else [f"Left out: {_lines_text(empty)}, without a volume or a pressure."]
+    return np.array(values, float).reshape(-1, 2).T, np.array(kept, int), notices
+
+
+def _lines_text(numbers: Sequence[int]) -> str:
+    """Line 5; lines 5 and 7; lines 5 to 8, 12 and 3 more."""
+    spans: list[list[int]] = []
+    for n in numbers:
+        if spans and n == spans[-1][-1] + 1:
+            spans[-1] = [spans[-1][0], n]
+        else:
+            spans.append([n])
+    words = [f"{s[0]} to {s[-1]}" if len(s) > 1 else str(s[0]) for s in spans]
+    if len(words) > 6:
+        words = [*words[:5], f"{len(words) - 5} more groups"]
+    many = len(numbers) > 1
+    return ("lines " if many else "line ") + (
+        " and ".join([", ".join(words[:-1]), words[-1]]) if words[1:] else words[0]
+    )
+
+
+# ---- points
+
+
+def _positive(path, volume, pressure, where) -> tuple[np.ndarray, list[str]]:
+    """Which points have a volume above zero; volumes far below zero are refused."""
+    if not len(volume):
+        raise ValueError(f"`data` must hold points, but {path} has no line with a volume and a pressure.")
+    least = -_ZERO * volume.max()
+    wrong = np.flatnonzero(volume < least) if volume.max() > 0 else np.array([0])
+    if wrong.size:
+        raise ValueError(
+            f"`data` must hold volumes above zero, but line {where[wrong[0]]} of {path} has {float(volume[wrong[0]]):.6g}."
+        )
+    keep = volume > 0
+    said = [f"Left out: {_lines_text(where[~keep])}, where the volume is zero or less."] if not keep.all() else []
+    low = np.flatnonzero(keep & (pressure < -BELOW_ZERO * pressure.max()))
+    if low.size:
+        raise ValueError(
+            f"`data` must hold pressures above zero, up to noise, but line {where[low[0]]} of {path} has "
+            f"{float(pressure[low[0]]):.6g}."
+        )
+    return keep, said
+
+
+def runs_of(volume: np.ndarray) -> list[tuple[int, int, bool]]:
+    """Runs of points (first, behind the last, whether the volume rises) between turns of the volume by more than its noise.
+
+    One run for points in no order of time.
+
+    >>> runs_of(np.array([1.0, 2.0, 3.0, 4.0, 5.0, 5.0, 4.0, 3.0, 2.0, 1.0]))
+    [(0, 5, True), (5, 10, False)]
+    """
+    begin = peak = sign = 0  # the run's first point, its extreme so far, and 1 where it rises, −1 where it falls
+    step, runs = _TURN * float(np.max(volume, initial=0.0)), []
+    for i, v in enumerate(volume):
+        if sign == 0:
+            if abs(v - volume[0]) > step:
+                sign, peak = (1 if v > volume[0] else -1), i
+        elif sign * (v - volume[peak]) > 0:
+            peak = i
+        elif sign * (volume[peak] - v) > step:
+            runs.append((begin, peak + 1, sign > 0))
+            begin, peak, sign = peak + 1, i, -sign
+    runs.append((begin, len(volume), sign >= 0))
+    return runs if len(volume) >= _SHORTEST_RUN * len(runs) else [(0, len(volume), True)]
+
+
+def _on_branch(volume: np.ndarray, where: np.ndarray, branch: str | None) -> tuple[np.ndarray, list[str]]:
+    """Which points are on the branch that is asked for, and what is said of the others."""
+    runs = runs_of(volume)
+    keep = np.ones(len(volume), bool)
+    if branch == "all" or (len(runs) == 1 and (branch is None or runs[0][2] == (branch == "loading"))):
+        return keep, []
+    rising = branch != "unloading"
+    for first, behind, rises in runs:
+        keep[first:behind] = rises == rising
+    if not keep.any():
+        raise ValueError(
+            f"`branch` must be one that the data hold, but the volume never {'rises' if rising else 'falls'}."
+        )
+    turns = _lines_text([int(where[first]) for first, _, _ in runs[1:]])
+    kind, other = ("loading", "unloading") if rising else ("unloading", "loading")
+    return keep, [
+        f"The volume turns at {turns}: {keep.sum()} points of {kind} are used and {(~keep).sum()} of {other} are left out; "
+        f"choose with `branch`."
+    ]

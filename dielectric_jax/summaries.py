@@ -76,7 +76,12 @@ def summary(document: dict) -> str:
 def _fit_lines(document: dict) -> list[str]:
     rows = [[name, value, *document["intervals"][name]] for name, value in document["parameters"].items()]
     share = f"{100 * document['level']:g} %"
-    return ["", _table(["constant", "value", f"{share} from", "to"], rows), f"noise: {_number_text(document['noise'])}"]
+    lines = [
+        "",
+        _table(["constant", "value", f"{share} from", "to"], rows),
+        f"noise: {_number_text(document['noise'])}",
+    ]
+    return [*lines, *document.get("notices", ()), *(f"warning: {w}" for w in document["warnings"])]
 
 
 def _map_lines(document: dict) -> list[str]:

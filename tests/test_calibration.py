@@ -1,13 +1,39 @@
 """Calibration: constants put into curves come out again, with honest intervals; what cannot be fitted is refused."""
 
+import dataclasses
+import json
+import re
+
 import numpy as np
 import pytest
 
 import dielectric_jax as dj
+from dielectric_jax.chart import explicit_map
+from dielectric_jax.constants import sought_constants
+from dielectric_jax.curve_model import CurveModel
+from dielectric_jax.fit_checks import check_determined, check_intervals, check_optimal
+from dielectric_jax.materials import AbstractMaterial
 
 VOLUME = np.geomspace(0.3, 60.0, 24)
 UNITS = dj.Units()
 TRUE = {"shear_modulus": 60e3, "stretch_limit": 120.0}
+
+
+class Rubber(AbstractMaterial):
+    """A user's material of plain numbers: neo-Hookean, and a term of I² that may be of either sign."""
+
+    stiffness: float
+    rise: float
+
+    def energy(self, l1, l2):
+        x = l1**2 + l2**2 + (l1 * l2) ** -2 - 3
+        return self.stiffness * x / 2 + self.rise * x**2 / 100
+
+    def admissible(self, l1, l2):
+        return (l1 > 0) & (l2 > 0)
+
+    def lock_up_stretch(self, prestretch):
+        return 12 * prestretch, False
 
 
 @pytest.fixture(scope="module")
@@ -81,29 +107,6 @@ def test_outliers_hardly_move_a_robust_fit(exact):
             assert robust.intervals[name][0] < true < robust.intervals[name][1]
 
 
-def test_files(tmp_path, exact):
-    """Columns by name, units in the header, remarks."""
-    file = tmp_path / "curve.csv"
-    rows = [f"{i},{float(p) / 100!r},{float(v) * 1e6!r}" for i, (v, p) in enumerate(zip(*exact, strict=True))]
-    file.write_text("\n".join(["# a film", "point, pressure [mbar], volume [ml]", *rows]) + "\n", encoding="utf-8")
-    volume, pressure, si = dj.read_measurement(file)
-    assert si
-    np.testing.assert_allclose(volume, exact[0], rtol=1e-14)
-    np.testing.assert_allclose(pressure, exact[1], rtol=1e-14)
-    for text, message in (
-        ("volume,p\n1,2\n", "columns named volume and pressure"),
-        ("volume [ml],pressure\n1,2\n", "units of both columns"),
-        ("volume [gal],pressure [Pa]\n1,2\n", "'gal'"),
-        ("volume,pressure\n1,2\n1,x\n", "line 3"),
-        ("", "columns named"),
-    ):
-        file.write_text(text, encoding="utf-8")
-        with pytest.raises(ValueError, match=message):
-            dj.read_measurement(file)
-    with pytest.raises(ValueError, match="readable CSV file"):
-        dj.read_measurement(tmp_path / "none.csv")
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -111,6 +114,8 @@ def test_files(tmp_path, exact):
         ({"pressure": [1.0, -1.0, 1.0, 1.0]}, "`pressure` must be positive and finite, but is -1.0 at point 1"),
         ({"over": ("stiffness",)}, "`over` must name some of stretch_limit, prestretch, but holds 'stiffness'"),
         ({"over": ()}, "one constant or more"),
+        ({"volume": [0.001, 0.002, 0.003, 0.004]}, "must be that of an inflated film, but the largest is 0.004 A³"),
+        ({"membrane": dj.Membrane(dj.Gent(1.5)), "over": ("prestretch",)}, "stretch_limit 1.5 it has states up to"),
         ({"loss": "cubic"}, "`loss` must be one of linear, huber, soft_l1, but is 'cubic'"),
         ({"level": 1.0}, "`level` must lie between 0 and 1"),
         ({"noise": 0.0}, "`noise`"),
@@ -122,6 +127,127 @@ def test_bad_input_is_refused(change, message):
     given = {"volume": [0.5, 1.0, 2.0, 3.0], "pressure": [1.3, 1.5, 1.8, 1.9]} | change
     with pytest.raises(ValueError, match=message):
         dj.calibrate(given.pop("volume"), given.pop("pressure"), **given)
+
+
+def test_a_start_out_of_reach_is_raised(exact):
+    """J = 20 locks at a tenth of the largest volume, and μ is wrong a hundredfold; a prestretch that is not there is 1."""
+    start = dj.Membrane(dj.Gent(stretch_limit=20.0))
+    found = dj.calibrate(*exact, membrane=start, units=dj.Units(shear_modulus=4.5e6))
+    for name, true in TRUE.items():
+        assert abs(found.parameters[name] / true - 1) < 1e-7
+    assert found.warnings == () and float(found.membrane.breakdown.shear_modulus) == found.parameters["shear_modulus"]
+    noisy = exact[1] + 0.005 * exact[1].mean() * np.random.default_rng(5).normal(size=len(VOLUME))
+    found = dj.calibrate(exact[0], noisy, units=UNITS, over=(*TRUE, "prestretch"))
+    for name, true in (TRUE | {"prestretch": 1.0}).items():
+        low, high = found.intervals[name]
+        assert low <= true <= high and high < 1.05 * low
+
+
+def test_constants_of_ones_own_material():
+    """Plain numbers of a user's class, of either sign; the shear modulus stays, as their unit."""
+    scale = float(UNITS.scale("pressure"))
+    cases = [
+        (Rubber(1.3, 0.4), Rubber(1, 1.0), {"stiffness": 1.3, "rise": 0.4}),
+        (Rubber(1.3, -0.02), Rubber(1.0, 0.01), {"stiffness": 1.3, "rise": -0.02}),
+    ]
+    for true, start, wanted in cases:
+        apex = np.geomspace(1.15, 4.0, 12)
+        pressure, volume = (np.asarray(x) for x in explicit_map(true, apex, 0.0, 1.0, 96.0)[:2])
+        found = dj.calibrate(
+            volume * float(UNITS.scale("volume")), pressure * scale, membrane=dj.Membrane(start), units=UNITS
+        )
+        assert set(found.parameters) == set(wanted)
+        for name, value in wanted.items():
+            assert abs(found.parameters[name] / value - 1) < 1e-6
+
+
+def test_names_of_constants():
+    """Defaults leave out what a curve cannot tell, and what is refused is named."""
+    rubber = dj.Electrostrictive(dj.Gent(), thickness_coefficient=0.1)
+    for material, wanted in (
+        (dj.Gent(), ["shear_modulus", "stretch_limit"]),
+        (dj.NeoHookean(), ["shear_modulus"]),
+        (dj.MooneyRivlin(), ["c1", "c2"]),
+        (dj.Ogden(), ["moduli[0]", "moduli[1]", "moduli[2]"]),
+        (rubber, ["shear_modulus", "stretch_limit"]),
+        (Rubber(1, 0.1), ["stiffness", "rise"]),
+    ):
+        assert sought_constants(material, None, True) == wanted
+    assert sought_constants(dj.Ogden(), ("exponents", "moduli[1]"), True) == [
+        *(f"exponents[{i}]" for i in range(3)),
+        "moduli[1]",
+    ]
+    with pytest.raises(ValueError, match="of shear_modulus, c1, c2 the shear modulus is the unit"):
+        sought_constants(dj.MooneyRivlin(), ("shear_modulus", "c1", "c2"), True)
+    with pytest.raises(ValueError, match="of shear_modulus, c1 the shear modulus is the unit"):
+        sought_constants(dj.MooneyRivlin(c2=0.0), ("shear_modulus", "c1"), True)
+
+
+def test_constants_that_a_curve_does_not_determine_are_refused(exact):
+    # volumes so small that the best limiting stretch is none
+    below = VOLUME < 1.5
+    noisy = exact[1] * (1 + 0.01 * np.random.default_rng(1).normal(size=len(VOLUME)))
+    with pytest.raises(
+        ValueError, match=r"the curve (depends on|determines), but .*stretch_limit.*leave it out of `over`"
+    ):
+        dj.calibrate(exact[0][below], noisy[below], units=UNITS)
+    # made-up Jacobians: c does nothing; c does what a and b do together
+    a, b, pressure = np.linspace(1.0, 2.0, 9), np.linspace(1.0, 3.0, 9) ** 2, np.ones(9)
+    names = dict.fromkeys("abc", 1.0)
+    check_determined(names, names, np.column_stack([a, b, a * b]), pressure)
+    with pytest.raises(ValueError, match="a change of c does not change the pressures"):
+        check_determined(names, names, np.column_stack([a, b, 1e-12 * a]), pressure)
+    with pytest.raises(ValueError, match="but a, b and c can change together"):
+        check_determined(names, names, np.column_stack([a, b, a - 2 * b]), pressure)
+    with pytest.raises(ValueError, match="the search stopped at a 1"):
+        check_optimal(names, names, np.column_stack([a, b, a * b]), 0.1 * a, pressure, np.zeros(3, bool))
+    # a parameter at its lower limit, which the residuals would push below
+    check_optimal({"a": 1.0}, {"a": 1.0}, a[:, None], -0.1 * a, pressure, np.ones(1, bool))
+    for ends in ((0.0, np.inf), (1.0, np.nan), (1e-5, 1e5)):
+        with pytest.raises(ValueError, match="that the curve determines"):
+            check_intervals({"a": ends}, {"a": 1.0}, 0.95)
+    assert "hardly determines a" in check_intervals({"a": (0.1, 10.0)}, {"a": 1.0}, 0.95)[0]
+
+
+def test_a_misfit_that_is_no_noise_is_said(exact):
+    """Of a wrong material, an offset, and absolute pressures; not of noise, nor of outliers."""
+    volume, pressure = exact
+    random = np.random.default_rng(7)
+    noise = 0.01 * pressure.mean() * random.normal(size=len(volume))
+    found = dj.calibrate(volume, pressure + noise, units=dj.Units(radius=17e-3))
+    assert "times the noise of the pressures" in found.warnings[0] and "seek the prestretch too" in found.warnings[0]
+    found = dj.calibrate(volume, pressure + noise + 900.0, units=UNITS)
+    assert "an offset of the pressures of " in found.warnings[0]
+    assert abs(float(re.search(r"pressures of ([\d.]+) Pa", found.warnings[0])[1]) - 900) < 150
+    assert found.to_json()["warnings"] == list(found.warnings)
+    with pytest.raises(ValueError, match=r"looks absolute, and no fit follows it; subtract"):
+        dj.calibrate(volume, pressure + noise + 101325.0, units=UNITS)
+    both = np.concatenate([volume[::2], volume[::-2]]), np.concatenate([pressure[::2], 0.8 * pressure[::-2]])
+    assert "The volume rises and falls" in dj.calibrate(*both, units=UNITS).warnings[0]
+
+
+def test_many_points_are_as_good_as_fewer_states(exact):
+    """40 000 points between those of the curve: splines through 256 states, every point with its own noise."""
+    random = np.random.default_rng(8)
+    volume = np.geomspace(0.3, 60.0, 40_000)
+    curve = CurveModel(dj.Membrane(dj.Gent(120.0)), ("stretch_limit",), volume, 0.0, 1.0)
+    curve.reachable_start()
+    pressure = curve(curve.free_of({"stretch_limit": 120.0}))[0]
+    at = np.searchsorted(volume, VOLUME)[1:-1]
+    true = np.array([dj.equilibrium(dj.Membrane(dj.Gent(120.0)), volume=volume[i]).pressure for i in at[::4]])
+    np.testing.assert_allclose(pressure[at[::4]], true, rtol=1e-7)
+    noise = 0.05 * pressure.mean()
+    found = dj.calibrate(volume, pressure + noise * random.normal(size=len(volume)))
+    low, high = found.intervals["stretch_limit"]
+    assert low < 120 < high and high / low < 1.01
+    assert abs(found.noise / noise - 1) < 0.02 and found.warnings == ()
+
+
+def test_documents_have_no_infinities(exact):
+    found = dj.calibrate(*exact, units=UNITS)
+    found = dataclasses.replace(found, intervals={"shear_modulus": (0.0, np.inf)}, noise=np.nan)
+    document = json.loads(json.dumps(found.to_json(), allow_nan=False))
+    assert document["intervals"]["shear_modulus"] == [0.0, None] and document["noise"] is None
 
 
 def test_the_figure_shows_measurement_fit_and_residuals(exact):

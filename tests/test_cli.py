@@ -106,6 +106,8 @@ BAD = [
     (["calibrate"], "DATA.csv", "must be given"),
     (["calibrate", "none.csv"], "DATA.csv", "readable CSV file"),
     (["calibrate", "none.csv", "--level", "2"], "--level", "between 0 and 1"),
+    (["calibrate", "none.csv", "--branch", "up"], "--branch", "loading, unloading or all, but is 'up'"),
+    (["calibrate", "none.csv", "--columns", "1"], "--columns", "2 values"),
     ([], "COMMAND", "must be given"),
 ]
 

@@ -1,0 +1,300 @@
+"""Tables in text files as instruments and people write them: encodings, separators, and the columns of volume and pressure."""
+
+import csv
+import dataclasses
+import io
+import itertools
+import pathlib
+import re
+from collections.abc import Iterator, Sequence
+
+from .column_heads import Head, is_absolute, names_text, read_head, unit_size
+
+__all__ = ["NUMBER", "QUANTITIES", "Line", "Table", "bare", "full", "split", "table_of"]
+
+QUANTITIES = ("volume", "pressure")
+_ENCODINGS = ("utf-8-sig", "cp1252", "gb18030", "shift_jis", "latin-1")
+_MARKS = (
+    (b"\xff\xfe\x00\x00", "utf-32"),
+    (b"\x00\x00\xfe\xff", "utf-32"),
+    (b"\xff\xfe", "utf-16"),
+    (b"\xfe\xff", "utf-16"),
+)
+_SEPARATORS = (";", "\t", ",", "|", "two or more blanks", "blanks")
+_DIGITS = r"[+-]?(?:\d+(?:[.,]\d*)*|[.,]\d+)"
+NUMBER = re.compile(rf"({_DIGITS})(?:[eEdD]([+-]?\d+))?", re.ASCII)
+
+
+@dataclasses.dataclass(frozen=True)
+class Line:
+    """One line: its number in the file, its text, and whether it is a remark."""
+
+    number: int
+    text: str
+    remark: bool
+
+
+def _text_of(path: pathlib.Path) -> list[tuple[str, str]]:
+    """The file's text in every encoding it may be in, the likeliest first, with their names."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ValueError(f"`data` must be a readable CSV file, but {path} is not: {error.strerror}.") from None
+    if data[:4] in (b"PK\x03\x04", b"\xd0\xcf\x11\xe0"):
+        raise ValueError(f"`data` must be a readable CSV file, but {path} is a spreadsheet; save it as CSV.")
+    marked = [name for mark, name in _MARKS if data.startswith(mark)][:1]
+    if not marked and len(data) > 3 and b"\0" in data[:4]:
+        marked = ["utf-16-le" if data[1] == 0 else "utf-16-be"]
+    texts = []
+    for encoding in marked or _ENCODINGS:
+        try:
+            text = data.decode(encoding)
+        except UnicodeDecodeError:
+            continue
+        if "\0" not in text:
+            texts.append((encoding, text))
+            if encoding == "utf-8-sig":
+                break
+    if not texts:
+        raise ValueError(f"`data` must be a readable CSV file, but {path} is not text in a known encoding.")
+    return texts
+
+
+def _lines(text: str) -> list[Line]:
+    """The lines that are not blank; a quoted cell of a head may go over a few."""
+    raw, lines, i = re.split(r"\r\n|\r|\n", text), [], 0
+    while i < len(raw):
+        line, behind = raw[i], i + 1
+        if line.count('"') % 2:  # the quote is closed in one of the next lines, or is a sign for inches
+            closing = next((k for k in range(behind, min(behind + 3, len(raw))) if raw[k].count('"') % 2), i)
+            line, behind = " ".join(raw[i : closing + 1]), closing + 1
+        stripped = line.strip()
+        if stripped.strip(",;|\t "):
+            lines.append(Line(i + 1, line, bool(re.match(r"#(?![a-z]+[!/])|%|//", stripped, re.IGNORECASE))))
+        i = behind
+    return lines
+
+
+def split(text: str, separator: str) -> list[str]:
+    """The cells of a line, without blanks and quotes around them."""
+    if separator == "two or more blanks":
+        return re.split(r"\s{2,}|\t+", text.strip())
+    if separator == "blanks":
+        return [c.strip('"') for c in re.findall(r'"[^"]*"|\S+', text)]
+    try:
+        row = next(csv.reader(io.StringIO(text.strip(" \r\n")), delimiter=separator, skipinitialspace=True))
+    except (csv.Error, StopIteration):
+        return [text]
+    return [c.strip().strip("'").strip() for c in row]
+
+
+def _split_head(text: str, separator: str) -> list[str]:
+    """Heads of columns; where blanks separate them, a unit in brackets belongs to the head before it."""
+    text = re.sub(r"^\s*(#|%|//)+", "", text)
+    if separator != "blanks":
+        return split(text, separator)
+    return [c.strip('"') for c in re.findall(r'"[^"]*"|[^\s\[(]+(?:\s*[\[(][^\])]*[\])])?', text)]
+
+
+def full(row: Sequence[str]) -> int:
+    """The cells of a row up to its last one that is not empty."""
+    return max((i + 1 for i, c in enumerate(row) if c), default=0)
+
+
+# ---- columns
+
+
+@dataclasses.dataclass(frozen=True)
+class Table:
+    """Where the numbers are: how rows are split, places and heads of volume and pressure, and the first line of numbers."""
+
+    separator: str
+    places: tuple[int, int]
+    heads: tuple[Head, Head]
+    width: int
+    first: int
+
+
+def _is_numeric(cell: str) -> bool:
+    return bool(NUMBER.fullmatch(bare(cell)))
+
+
+def bare(cell: str) -> str:
+    """A number's text without blanks and apostrophes between groups of digits, with a plain minus sign."""
+    return re.sub(r"(?<=\d)[\s'’\u00a0\u202f](?=\d{3})", "", cell.strip().strip("'\"")).replace("−", "-")
+
+
+def _numeric_row(text: str, separator: str) -> list[str]:
+    """The cells of a line, if it may be a row of numbers: two at least, and half of it where blanks separate words too."""
+    row = split(text, separator)
+    count = sum(map(_is_numeric, row))
+    return row if count >= 2 and ("blanks" not in separator or 2 * count >= len(row)) else []
+
+
+def _first_row(lines: Sequence[Line]) -> int:
+    """The first line that is a row of numbers, however it is split."""
+    for i, line in enumerate(lines):
+        if not line.remark and any(_numeric_row(line.text, s) for s in _SEPARATORS):
+            return i
+    return len(lines)
+
+
+def table_of(path, columns, column_units) -> tuple[list[Line], Table, list[str]]:
+    """The lines of the file and the table found in them, in the encoding in which columns are found."""
+    texts, refused = _text_of(path), None
+    for encoding, text in texts:
+        lines = _lines(text)
+        if lines and re.fullmatch(r'"?sep=.?"?', lines[0].text.strip(), re.IGNORECASE):
+            lines = lines[1:]
+        try:
+            table = _find_table(path, lines, columns, column_units)
+        except ValueError as error:
+            refused = refused or error
+            continue
+        plain = encoding == "utf-8-sig" or text.isascii()
+        return lines, table, [] if plain else [f"The file is not UTF-8; it was read as {encoding}."]
+    raise refused or ValueError(f"`data` must be a readable CSV file, but {path} is not.")
+
+
+def _find_table(path, lines: list[Line], columns, column_units) -> Table:
+    first = _first_row(lines)
+    if first == len(lines):
+        raise ValueError(f"`data` must have columns named volume and pressure with numbers, but {path} has no numbers.")
+    if columns is not None and all(str(c).isdigit() for c in columns):
+        return _by_place(path, lines, first, [int(c) for c in columns], column_units)
+    above = [line for line in reversed(lines[:first])]
+    wrong: ValueError | None = None
+    for head in sorted(above, key=lambda line: line.remark):
+        try:
+            found = _by_head(lines, first, head, columns)
+        except ValueError as error:
+            wrong = wrong or ValueError(f"`data` must be a curve of volume and gauge pressure, but {error}.")
+            continue
+        if found is not None:
+            return _with_units(path, lines, head, found, column_units)
+    raise wrong or ValueError(_no_columns(path, lines, first, columns))
+
+
+def _no_columns(path, lines: list[Line], first: int, columns) -> str:
+    if columns is not None:
+        return f"`columns` must be heads in {path}, each of one column, but {' and '.join(map(repr, columns))} are not."
+    head = next((line for line in reversed(lines[:first]) if not line.remark), None)
+    advice = "name them and their units in the first line, or give `columns` and `column_units`"
+    if head is None:
+        return f"`data` must have columns named volume and pressure, but {path} begins with numbers; {advice}."
+    text = " ".join(head.text.split())[:120]
+    height = "; a height is not a volume" if re.search("height|deflection|displacement", text, re.IGNORECASE) else ""
+    return (
+        f"`data` must have columns named volume and pressure, but line {head.number} of {path} names {text!r}{height}; "
+        f"{advice}."
+    )
+
+
+def _ways(lines: list[Line], first: int) -> Iterator[tuple[str, int]]:
+    """How the first row of numbers may be split, and into how many cells."""
+    for separator in _SEPARATORS:
+        row = _numeric_row(lines[first].text, separator)
+        if row:
+            yield separator, len(row)
+
+
+def _by_head(lines: list[Line], first: int, head: Line, columns) -> Table | None:
+    """The table under a head; None where the head does not name both columns."""
+    unclear: ValueError | None = None
+    found: list[tuple[bool, Table]] = []
+    for (separator, width), of_head in itertools.product(_ways(lines, first), _SEPARATORS):
+        cells = _split_head(head.text, of_head)
+        if len(cells) < 2 or (separator in ("blanks", "two or more blanks") and len(cells) != width):
+            continue
+        # fewer heads than cells only where the same sign separates both: the row is refused later, with its line
+        if separator != of_head and full(split(lines[first].text, separator)) > len(cells):
+            continue
+        try:
+            places, heads = _choose(cells, columns)
+        except ValueError as error:
+            unclear = unclear or ValueError(f"line {head.number}: {error}")
+            continue
+        if places and max(places) < width:
+            found.append(
+                (separator != of_head or len(cells) < width, Table(separator, places, heads, len(cells), first))
+            )
+    if found:
+        return min(found, key=lambda pair: pair[0])[1]
+    if unclear is not None:
+        raise unclear
+    return None
+
+
+def _choose(cells: list[str], columns) -> tuple:
+    """Places and heads of the two columns among heads; empty where one is missing."""
+    if columns is not None:
+        wanted = [[i for i, c in enumerate(cells) if c.strip().lower() == str(n).strip().lower()] for n in columns]
+        if any(len(w) != 1 for w in wanted):
+            return (), ()
+        places = wanted[0][0], wanted[1][0]
+        heads = []
+        for quantity, i in zip(QUANTITIES, places, strict=True):
+            own = [h for h in read_head(cells[i]) if h.quantity == quantity]
+            heads.append(own[0] if own else Head(quantity))
+        return places, tuple(heads)
+    known = [(i, h) for i, c in enumerate(cells) for h in read_head(c)]
+    chosen = []
+    for quantity in QUANTITIES:
+        own = [(i, h) for i, h in known if h.quantity == quantity]
+        if len({h.size is None for _, h in own}) == 2:
+            own = [(i, h) for i, h in own if h.size is not None]
+        best = [pair for pair in own if pair[1].rank == min(h.rank for _, h in own)]
+        if len(best) > 1:
+            names = " and ".join(repr(cells[i]) for i, _ in best)
+            raise ValueError(f"the columns {names} may both be the {quantity}; give `columns`")
+        chosen += best
+    if len(chosen) < 2:
+        return (), ()
+    return (chosen[0][0], chosen[1][0]), (chosen[0][1], chosen[1][1])
+
+
+def _by_place(path, lines, first: int, places: list[int], column_units) -> Table:
+    separator, width = next(_ways(lines, first))
+    for place in places:
+        if not 1 <= place <= width:
+            raise ValueError(f"`columns` must be places from 1 to {width} in {path}, but holds {place}.")
+    heads = Head("volume"), Head("pressure")
+    table = Table(separator, (places[0] - 1, places[1] - 1), heads, width, first)
+    named = [line for line in lines[:first] if not line.remark]
+    if named and column_units is None:
+        cells = _split_head(named[-1].text, separator)
+        own = [[h for h in read_head(cells[p - 1]) if h.quantity == q] for p, q in zip(places, QUANTITIES, strict=True)]
+        if len(cells) >= width and all(own):
+            return _with_units(path, lines, named[-1], dataclasses.replace(table, heads=(own[0][0], own[1][0])), None)
+    return _with_units(path, lines, None, table, column_units)
+
+
+def _with_units(path, lines, head: Line | None, table: Table, column_units) -> Table:
+    """The table with the units that are given, or that stand in the head, or in the line below it."""
+    heads = list(table.heads)
+    between = [] if head is None else [line for line in lines[: table.first] if line.number > head.number]
+    rows = [split(line.text, table.separator) for line in between]
+    numbers = [any(_is_numeric(row[p]) for p in table.places if p < len(row)) for row in rows]
+    if any(numbers):  # rows that lack one of the two numbers
+        table = dataclasses.replace(table, first=table.first - len(rows) + numbers.index(True))
+        rows = rows[: numbers.index(True)]
+    for k, (quantity, place) in enumerate(zip(QUANTITIES, table.places, strict=True)):
+        unit = heads[k].unit if column_units is None else column_units[k]
+        below = [re.sub(r"^[\[(]|[\])]$", "", row[place]) for row in rows if len(row) > place]
+        if unit is None and any(below):
+            unit = next(u for u in below if u)
+        try:
+            size = 0.0 if unit is None else unit_size(unit, quantity)
+        except ValueError as error:
+            raise ValueError(f"`data` must give the {quantity} in a unit, but in {path} {error}.") from None
+        if size is None:
+            raise ValueError(
+                f"`data` must give the {quantity} in a unit such as {names_text(quantity)}, but {path} says {unit!r}."
+            )
+        heads[k] = Head(quantity, unit, size, 0, k == 1 and (heads[k].absolute or is_absolute(unit or "")))
+    if bool(heads[0].size) != bool(heads[1].size):
+        raise ValueError(
+            f"`data` must give units of both columns or of neither, but {path} does not; name them in its first line, or "
+            "give `column_units`."
+        )
+    return dataclasses.replace(table, heads=(heads[0], heads[1]))
