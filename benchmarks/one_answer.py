@@ -165,11 +165,16 @@ def by_designs(scene, columns: dict, surface) -> list[Answer]:
     return [Answer(regime=dj.Regime(int(r)).name) for r in found.regime]
 
 
-def one_membrane(membrane, count: int, share: float, random, spent) -> list[tuple]:
-    """(scene, answers by way) of scenes of one membrane."""
+def random_scenes(membrane, count: int, random) -> list:
+    """Scenes of one membrane."""
     volume, pressure = peak(membrane)
-    scenes = [dj.Scene(membrane, random_loading(k, volume, pressure, random)) for k in range(count)]
-    answers = [collections.OrderedDict() for _ in scenes]
+    return [dj.Scene(membrane, random_loading(k, volume, pressure, random)) for k in range(count)]
+
+
+def asked_in_every_way(scenes: list, whole, spent=None) -> list[dict]:
+    """The answers of scenes that share a membrane, by way; `whole(answers)` says whether to ask the whole diagram too."""
+    membrane, spent = scenes[0].membrane, collections.Counter() if spent is None else spent
+    answers: list[dict] = [{} for _ in scenes]
 
     def timed(way, ask):
         begin = time.perf_counter()
@@ -202,9 +207,9 @@ def one_membrane(membrane, count: int, share: float, random, spent) -> list[tupl
             for i, answer in zip(own, timed(way, ask), strict=True):
                 answers[i][way] = answer
     for i, scene in enumerate(scenes):
-        if random.uniform() < share or disagree(answers[i]):
+        if whole(answers[i]):
             answers[i]["diagram"] = timed("diagram", lambda scene=scene: by_diagram(scene))
-    return list(zip(scenes, answers, strict=True))
+    return answers
 
 
 def disagree(answers: dict) -> bool:
@@ -244,9 +249,12 @@ def main() -> int:
         membrane = random_membrane(kinds[(done // EACH) % len(kinds)], random)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            found = one_membrane(membrane, min(EACH, options.scenes - done), options.share, random, spent)
+            scenes = random_scenes(membrane, min(EACH, options.scenes - done), random)
+            found = asked_in_every_way(
+                scenes, lambda answers: disagree(answers) or random.uniform() < options.share, spent
+            )
         done += len(found)
-        for scene, answers in found:
+        for scene, answers in zip(scenes, found, strict=True):
             for way, answer in answers.items():
                 asked[way] += 1
                 undecided[way] += answer["regime"] == OPEN

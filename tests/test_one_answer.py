@@ -1,0 +1,86 @@
+"""Every way of asking gives one answer: whole diagrams, batches, surfaces, glances, sweeps, and designs."""
+
+import pathlib
+import sys
+
+import pytest
+
+import dielectric_jax as dj
+
+sys.path.insert(0, str(pathlib.Path(__file__).parent.parent / "benchmarks"))
+from one_answer import OPEN, asked_in_every_way, disagree
+
+FILM = dj.Membrane()
+WEAK = dj.Membrane(breakdown=dj.VHBBreakdown(scale=0.6))
+LONG = dj.Membrane(dj.Gent(1000.0))
+#: scenes of one membrane, and their regimes by whole diagrams whose scan and continuation agree
+KNOWN = {
+    "constant pressure (the article's p = 1.5 and 1.82)": (
+        FILM,
+        [dj.ConstantPressure(p) for p in (1.0, 1.5, 1.82)],
+        "breaks_in_snap",
+    ),
+    "folds far beyond breakdown": (
+        WEAK,
+        [dj.Chamber(30.0, initial_volume=2.42), dj.Chamber(1600.0, initial_volume=1.0)],
+        "breaks_before_snap",
+    ),
+    "no fold, out of the scanned window near lock-up": (
+        FILM,
+        [dj.Chamber(v, initial_volume=2.42) for v in (500.0, 540.0)],
+        "no_snap",
+    ),
+    "one filling by its volume and by its pressure": (
+        LONG,
+        [dj.Chamber(1600.0, initial_volume=0.39341), dj.Chamber(1600.0, initial_pressure=0.16102)],
+        "no_landing",
+    ),
+    "a landing far beyond breakdown at constant pressure": (
+        dj.Membrane(dj.Gent(62.687503857134026), prestretch=1.0849328050268596),
+        [dj.ConstantPressure(0.9752243273441074)],
+        "breaks_in_snap",
+    ),
+    "a landing far beyond breakdown in thin air": (
+        dj.Membrane(dj.Gent(715.7061), prestretch=1.4787481941835363),
+        [
+            dj.Chamber(
+                97.82297287790955,
+                initial_volume=5.537551738285317,
+                atmospheric_pressure=2.6525559897607796,
+                polytropic_exponent=1.2,
+            )
+        ],
+        "breaks_in_snap",
+    ),
+    "a stiff chamber filled past the peak": (
+        FILM,
+        [dj.Chamber(0.02, initial_volume=v) for v in (3.3, 3.8)],
+        "no_landing",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", KNOWN)
+def test_known_scenes(name):
+    membrane, loadings, regime = KNOWN[name]
+    for answers in asked_in_every_way([dj.Scene(membrane, x) for x in loadings], lambda _: False):
+        told = {way: answer["regime"] for way, answer in answers.items()}
+        assert set(told.values()) <= {regime, OPEN}, told
+        assert not disagree(answers)
+        # the two that leave nothing open here
+        assert told["designs"] == told["batch"] == regime
+
+
+def test_a_start_held_by_a_stiff_chamber():
+    """V_0 = 3.857 lies past the peak of the pressure at V = 2.797; the air holds the membrane, which snaps at Φ = 0.18624058."""
+    film = dj.Membrane(dj.MooneyRivlin(0.7102170416433428, 0.00034138315149295594))
+    held = dj.Chamber(0.027916957086637915, initial_volume=3.856810870609954)
+    ramps = dj.continue_scenes([dj.Scene(film, held)]).ramps
+    assert dj.Regime(int(ramps.regime[0])) is dj.Regime.no_landing
+    assert abs(ramps.snap.voltage[0, 0] - 0.18624058) < 1e-8
+    # at constant pressure the same state is unstable
+    pressure = float(ramps.start.pressure[0])
+    state = dj.equilibrium(film, volume=3.856810870609954)
+    assert abs(state.pressure / pressure - 1) < 1e-9
+    assert dj.stability_of(dj.Scene(film, dj.ConstantPressure(pressure)), state).index == 1
+    assert dj.stability_of(dj.Scene(film, held), state).index == 0
