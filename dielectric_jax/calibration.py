@@ -206,7 +206,7 @@ def calibrate(
         fit = _fit(curve, pressure / of_pressure, loss, None if noise is None else noise / of_pressure)
         found = _result(curve, fit, level, volume, pressure, of_pressure, units)
         warnings += check_intervals(found.intervals, found.parameters, level)
-        seek = "" if "prestretch" in names else "seek the prestretch too, "
+        seek = "" if "prestretch" in names else "seek more constants, such as the prestretch, "
         warnings += misfit_warnings(
             volume,
             pressure,

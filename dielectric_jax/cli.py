@@ -206,19 +206,17 @@ def _run_optimise(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[],
 
 
 def _run_calibrate(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
-    read = {n: getattr(args, n) for n in ("columns", "column_units", "branch", "atmospheric_pressure")}
-    if args.units is not None:
-        read["atmospheric_pressure"] = args.units.to_si(args.atmospheric_pressure, "atmospheric_pressure")
-    data = dj.read_measurement(args.data, **read)
-    if data.in_si and args.units is None:
-        raise ValueError(f"--si must be given with a DATA.csv that names units, but is not with {args.data}.")
-    # of a measurement the voltage and the noise stay in the units of the pressures
-    units = args.units
-    voltage = args.voltage if units is None else units.to_si(args.voltage, "voltage")
-    asked = {n: getattr(args, n) for n in ("over", "loss", "noise", "level")}
-    membrane = _membrane(dj, args)
-    # all that is said from here on, and the document, is in SI already
+    units, membrane = args.units, _membrane(dj, args)
+    # of a measurement voltage, noise and atmosphere stay in the units of the pressures, as the document is
+    outside, voltage = args.atmospheric_pressure, args.voltage
+    if units is not None:
+        outside, voltage = units.to_si(outside, "atmospheric_pressure"), units.to_si(voltage, "voltage")
     args.units, args.si = None, False
+    read = {n: getattr(args, n) for n in ("columns", "column_units", "branch")}
+    data = dj.read_measurement(args.data, **read, atmospheric_pressure=outside)
+    if data.in_si and units is None:
+        raise ValueError(f"--si must be given with a DATA.csv that names units, but is not with {args.data}.")
+    asked = {n: getattr(args, n) for n in ("over", "loss", "noise", "level")}
     found = dj.calibrate(data.volume, data.pressure, membrane=membrane, units=units, voltage=voltage, **asked)
     document = {"scene": dj.describe(found.membrane), **found.to_json(), "notices": list(data.notices)}
     document |= {n: [option_names(v, args) for v in document[n]] for n in ("notices", "warnings")}

@@ -235,7 +235,7 @@ def _choose(cells: list[str], columns) -> tuple:
         heads = []
         for quantity, i in zip(QUANTITIES, places, strict=True):
             own = [h for h in read_head(cells[i]) if h.quantity == quantity]
-            heads.append(own[0] if own else Head(quantity))
+            heads.append(dataclasses.replace(own[0], rank=0) if own else Head(quantity))
         return places, tuple(heads)
     known = [(i, h) for i, c in enumerate(cells) for h in read_head(c)]
     chosen = []
@@ -283,6 +283,11 @@ def _with_units(path, lines, head: Line | None, table: Table, column_units) -> T
         below = [re.sub(r"^[\[(]|[\])]$", "", row[place]) for row in rows if len(row) > place]
         if unit is None and any(below):
             unit = next(u for u in below if u)
+        if unit is None and heads[k].rank == 3:
+            raise ValueError(
+                f"`data` must have columns named volume and pressure, or V and p with units, but {path} names the {quantity} by "
+                "its symbol alone."
+            )
         try:
             size = 0.0 if unit is None else unit_size(unit, quantity)
         except ValueError as error:

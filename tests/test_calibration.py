@@ -215,7 +215,10 @@ def test_a_misfit_that_is_no_noise_is_said(exact):
     random = np.random.default_rng(7)
     noise = 0.01 * pressure.mean() * random.normal(size=len(volume))
     found = dj.calibrate(volume, pressure + noise, units=dj.Units(radius=17e-3))
-    assert "times the noise of the pressures" in found.warnings[0] and "seek the prestretch too" in found.warnings[0]
+    assert (
+        "times the noise of the pressures" in found.warnings[0]
+        and "seek more constants, such as the prestretch" in found.warnings[0]
+    )
     found = dj.calibrate(volume, pressure + noise + 900.0, units=UNITS)
     assert "an offset of the pressures of " in found.warnings[0]
     assert abs(float(re.search(r"pressures of ([\d.]+) Pa", found.warnings[0])[1]) - 900) < 150

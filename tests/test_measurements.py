@@ -39,6 +39,7 @@ FILES = {
     "quoted heads": '"Volume, ml","Pressure, kPa"\n' + rows('"{v}","{p}"'),
     "head on two lines": '"Volume\n(ml)","Pressure\n(kPa)"\n' + rows(),
     "unit row": "volume,pressure\nml,kPa\n" + rows(),
+    "symbols over a unit row": "V\tp\nml\tkPa\n" + rows("{v}\t{p}"),
     "unit row in brackets": "t;volume;pressure\n[s];[ml];[kPa]\n" + rows("{i};{v};{p}"),
     "two columns of V": "Voltage [V],V [ml],P [kPa],Power [W]\n" + rows("{i},{v},{p},{i}"),
     "other pressures": "p supply [kPa],pressure [kPa],chamber volume [L],volume [ml],volume flow [ml/min]\n"
@@ -110,6 +111,9 @@ def test_the_same_curve_in_every_format(tmp_path, name):
         ("", "has no numbers"),
         ("volume [ml],pressure [kPa]\n", "has no numbers"),
         ("height [mm],pressure [kPa]\n" + rows(), r"line 1 .* names 'height \[mm\],pressure \[kPa\]'; a height is not"),
+        ("volume,p\n1,2\n", "columns named volume and pressure"),
+        ("V,p\n1,2\n", "columns named volume and pressure"),
+        ("volume,pressure\n1,2\n1,x\n", "line 3"),
         ("volume [ml],force [N]\n" + rows(), "line 1 .* names"),
         ("volume [gal],pressure [kPa]\n" + rows(), "'gal'"),
         ("volume,pressure\ngal,kPa\n" + rows(), "'gal'"),
@@ -141,6 +145,16 @@ def test_what_cannot_be_read_is_refused_with_its_line(tmp_path, text, message):
     with pytest.raises(ValueError, match=message) as caught:
         dj.read_measurement(file)
     assert str(caught.value).startswith("`data` must") and str(caught.value).endswith(".")
+
+
+def test_numbers_without_units_are_dimensionless(tmp_path):
+    file = tmp_path / "curve.csv"
+    for head in ("pressure,volume", "Pressure p A / (μH),Volume V / A³", "pressure [-],volume [-]"):
+        file.write_text(f"{head}\n" + rows("{p},{v}"), encoding="utf-8")
+        volume, pressure, in_si = dj.read_measurement(file)
+        assert not in_si and (volume == VOLUME).all() and (pressure == PRESSURE).all()
+    with pytest.raises(ValueError, match="readable CSV file"):
+        dj.read_measurement(tmp_path / "none.csv")
 
 
 def test_columns_and_units_may_be_given(tmp_path):
