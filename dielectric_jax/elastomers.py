@@ -23,10 +23,15 @@ from .materials import (
     capacitance,
     first_invariant_minus_3,
 )
+from .results import LARGEST, check_positive
 from .units import Scalar, as_scalar, is_concrete
 
 __all__ = ["CustomPermittivity", "Electrostrictive", "MooneyRivlin", "Ogden"]
 
+# terms of Ogden's energy that are summed one by one, as runs fastest; the compile time of more would grow with their number
+_UNROLLED = 6
+_MOST_TERMS = 100
+_LARGEST_EXPONENT = 1e3
 _LEAST = 1e-2  # stretches below are not met by a membrane in tension; the powers stay finite
 
 
@@ -48,8 +53,8 @@ class MooneyRivlin(AbstractMaterial):
     def __check_init__(self):
         for name in ("c1", "c2"):
             value = getattr(self, name)
-            if is_concrete(value) and not 0 <= float(value) < math.inf:
-                raise ValueError(f"`{name}` must be zero or positive and finite, but is {float(value)!r}.")
+            if is_concrete(value):
+                check_positive(name, float(value), zero=True)
         if is_concrete(self.c1) and is_concrete(self.c2) and not float(self.c1) + float(self.c2) > 0:
             raise ValueError("`c1` or `c2` must be positive, but both are 0.0.")
 
@@ -65,12 +70,18 @@ class MooneyRivlin(AbstractMaterial):
         return 12 * prestretch, False
 
 
+def _column(values, dimensions: int):
+    """Scalars, or lanes of them, along a first axis, beside arrays of so many dimensions."""
+    column = jnp.stack(jnp.broadcast_arrays(*(jnp.asarray(v, float) for v in values)))
+    return column.reshape(len(values), *(1,) * (dimensions + 1 - column.ndim), *column.shape[1:])
+
+
 def _terms(values) -> tuple:
     return tuple(as_scalar(v) for v in values) if np.ndim(values) else (as_scalar(values),)
 
 
 class Ogden(AbstractMaterial):
-    """W = Σ (μ_k/α_k) (λ1^α_k + λ2^α_k + λ3^α_k − 3), any number of terms.
+    """W = Σ (μ_k/α_k) (λ1^α_k + λ2^α_k + λ3^α_k − 3), up to 100 terms.
 
     `moduli` are the μ_k in units of the shear modulus, `exponents` the α_k; the modulus at small strain is ½ Σ μ_k α_k,
     1 where μ is that. Source: Ogden, Proc. R. Soc. A 326 (1972) 565, whose three terms for rubber are the default, scaled so.
@@ -90,13 +101,17 @@ class Ogden(AbstractMaterial):
             raise ValueError(
                 f"`moduli` must be as many numbers as `exponents`, but are {len(self.moduli)} and {len(self.exponents)}."
             )
+        if len(self.moduli) > _MOST_TERMS:
+            raise ValueError(f"`moduli` must be at most {_MOST_TERMS} numbers, but are {len(self.moduli)}.")
         if not all(is_concrete(v) for v in (*self.moduli, *self.exponents)):
             return
         for name in ("moduli", "exponents"):
             values = np.asarray(getattr(self, name))
-            if not (np.isfinite(values).all() and (name == "moduli" or (values != 0).all())):
-                allowed = "finite" if name == "moduli" else "finite and not zero"
-                raise ValueError(f"`{name}` must be {allowed}, but are {values.tolist()!r}.")
+            most = LARGEST if name == "moduli" else _LARGEST_EXPONENT
+            wrong = ~(np.abs(values) <= most) | ((name == "exponents") & (np.abs(values) < 1 / _LARGEST_EXPONENT))
+            if wrong.any():
+                allowed = f"at most {most:g}" if name == "moduli" else f"not zero, from {1 / most:g} to {most:g}"
+                raise ValueError(f"`{name}` must be finite and {allowed} in size, but one is {float(values[wrong][0])!r}.")
         modulus = float(np.dot(self.moduli, self.exponents)) / 2
         if not modulus > 0:
             raise ValueError(f"`moduli` must give a positive shear modulus ½ Σ μ_k α_k, but give {modulus!r}.")
@@ -104,8 +119,14 @@ class Ogden(AbstractMaterial):
     def energy(self, l1, l2):
         a, b = jnp.maximum(l1, _LEAST), jnp.maximum(l2, _LEAST)
         logs = jnp.log(a), jnp.log(b), -jnp.log(a) - jnp.log(b)
-        terms = zip(self.moduli, self.exponents, strict=True)
-        return sum(m / x * sum(jnp.expm1(x * log) for log in logs) for m, x in terms)
+
+        def term(m, x):
+            return m / x * sum(jnp.expm1(x * log) for log in logs)
+
+        if len(self.moduli) <= _UNROLLED:
+            return sum(map(term, self.moduli, self.exponents))
+        m, x = (_column(values, jnp.ndim(logs[2])) for values in (self.moduli, self.exponents))
+        return jnp.sum(term(m, x), axis=0)
 
     def admissible(self, l1, l2):
         return (l1 > _LEAST) & (l2 > _LEAST)

@@ -74,16 +74,21 @@ def capacitance(material: AbstractMaterial, l1, l2):
     return material.permittivity(l1, l2) * ideal if isinstance(material, AbstractDielectric) else ideal
 
 
+#: limits J and links n in which double precision resolves the window; above them the material is neo-Hookean to rounding
+_LEAST_LIMIT, _LARGEST_LIMIT = 1e-6, 1e15
+
+
 def _root_of_limit(limit: float) -> float:
-    """λ with 2λ² + λ⁻⁴ − 3 = limit, λ ≥ 1."""
-    stretch = math.sqrt((limit + 3) / 2)
+    """λ with 2λ² + λ⁻⁴ − 3 = limit > 0, λ ≥ 1; of d = λ² − 1, d² (3 + 2d)/(1 + d)² = limit, where nothing cancels."""
+    most = (limit + 1) / 2
+    d = min(most, math.sqrt(limit / 3) * (1 + most))  # not below the root: Newton falls to it, the left side is convex
     for _ in range(60):
-        f = 2 * stretch**2 + stretch**-4 - 3 - limit
-        step = f / (4 * stretch - 4 * stretch**-5)
-        stretch = max(stretch - step, 0.5 * (1 + stretch))
-        if abs(step) < 1e-15 * stretch:
+        g = 1 / (1 + d)
+        step = ((d * g) ** 2 * (3 + 2 * d) - limit) / (2 * d * g * (1 + g + g * g))
+        d -= step
+        if abs(step) < 1e-15 * d:
             break
-    return stretch
+    return math.sqrt(1 + d)
 
 
 class Gent(AbstractMaterial):
@@ -101,7 +106,13 @@ class Gent(AbstractMaterial):
 
     def __check_init__(self):
         if is_concrete(self.stretch_limit):
-            check_positive("stretch_limit", float(self.stretch_limit))
+            value = float(self.stretch_limit)
+            check_positive("stretch_limit", value)
+            if not _LEAST_LIMIT <= value <= _LARGEST_LIMIT:
+                raise ValueError(
+                    f"`stretch_limit` must lie between {_LEAST_LIMIT:g} and {_LARGEST_LIMIT:g}, but is {value!r}; a "
+                    "material without a limit is NeoHookean."
+                )
 
     def energy(self, l1, l2):
         x = first_invariant_minus_3(l1, l2) / self.stretch_limit
@@ -197,6 +208,9 @@ def _(primals, tangents):
     return _chain_energy(primals[0]), inverse_langevin(primals[0]) * tangents[0]
 
 
+_LOCKED = 0.995  # ρ at which the window of the eight-chain material ends
+
+
 class ArrudaBoyce(AbstractMaterial):
     """Arruda and Boyce's eight-chain energy, W = n (ρ β + log(β/sinh β)), ρ² = (λ1² + λ2² + λ3²)/(3n).
 
@@ -211,8 +225,12 @@ class ArrudaBoyce(AbstractMaterial):
     chain_links: Scalar = eqx.field(default=125.0, converter=as_scalar)
 
     def __check_init__(self):
-        if is_concrete(self.chain_links) and not 1 < float(self.chain_links) < math.inf:
-            raise ValueError(f"`chain_links` must be above 1 and finite, but is {float(self.chain_links)!r}.")
+        # the window ends at ρ = 0.995, and ρ² = 1/n where nothing is stretched
+        if is_concrete(self.chain_links) and not _LOCKED**-2 < float(self.chain_links) <= _LARGEST_LIMIT:
+            raise ValueError(
+                f"`chain_links` must be above {_LOCKED**-2:.5g}, so that an unstretched chain is below {_LOCKED:g} of its "
+                f"full length, and at most {_LARGEST_LIMIT:g}, but is {float(self.chain_links)!r}."
+            )
 
     def _extension(self, l1, l2):
         return jnp.sqrt((first_invariant_minus_3(l1, l2) + 3) / (3 * self.chain_links))
@@ -229,7 +247,7 @@ class ArrudaBoyce(AbstractMaterial):
         return self._extension(l1, l2) < 1 - 1e-6
 
     def lock_up_stretch(self, prestretch):
-        return _root_of_limit(3 * float(self.chain_links) * 0.995**2 - 3), True
+        return _root_of_limit(3 * (float(self.chain_links) * _LOCKED**2 - 1)), True
 
 
 class CustomMaterial(AbstractMaterial):

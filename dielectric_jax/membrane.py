@@ -27,6 +27,9 @@ from .units import VHB_4910, Scalar, Units, as_scalar, is_concrete
 __all__ = ["Membrane", "Profile", "vhb_4910"]
 
 
+_LARGEST_PRESTRETCH = 1e4  # far above any; p λ0³ of a film without limit is still resolved
+
+
 def require_float64() -> None:
     """Raises unless JAX computes in float64."""
     if not jax.config.read("jax_enable_x64"):
@@ -57,6 +60,8 @@ class Membrane(eqx.Module):
             prestretch = float(self.prestretch)
             if not prestretch >= 1:
                 raise ValueError(f"`prestretch` must be at least 1, but is {prestretch!r}.")
+            if prestretch > _LARGEST_PRESTRETCH:
+                raise ValueError(f"`prestretch` must be at most {_LARGEST_PRESTRETCH:g}, but is {prestretch!r}.")
             leaves = jax.tree.leaves(self.material)
             if all(is_concrete(leaf) for leaf in leaves):
                 limit, _ = self.material.lock_up_stretch(prestretch)

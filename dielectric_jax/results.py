@@ -6,8 +6,9 @@ Bad input is a `ValueError` whose one sentence names the argument, its value and
 
 import enum
 import math
+import numbers
 
-__all__ = ["Code", "SceneError", "StoreError", "WorkersLost", "check_between", "check_positive"]
+__all__ = ["Code", "SceneError", "StoreError", "WorkersLost", "check_between", "check_positive", "check_whole", "shown"]
 
 
 class Code(enum.IntEnum):
@@ -101,10 +102,37 @@ class WorkersLost(RuntimeError):
     """Workers died again and again, or could not compute a block; the message is one sentence."""
 
 
+#: no number that a user gives may be larger: squares and products of several must not overflow
+LARGEST = 1e50
+
+
 def check_positive(name: str, value: float, *, zero: bool = False) -> None:
-    """Raises `ValueError` unless `value` is finite and positive (or zero, with `zero=True`)."""
+    """Raises `ValueError` unless `value` is positive (or zero, with `zero=True`), and at most `LARGEST`."""
+    allowed = "zero or positive" if zero else "positive"
     if not (math.isfinite(value) and (value > 0 or (zero and value == 0))):
-        raise ValueError(f"`{name}` must be {'zero or positive' if zero else 'positive'} and finite, but is {value!r}.")
+        raise ValueError(f"`{name}` must be {allowed} and finite, but is {value!r}.")
+    if value > LARGEST:
+        raise ValueError(f"`{name}` must be {allowed} and at most {LARGEST:g}, but is {value!r}.")
+
+
+def check_whole(name: str, value, least: int, most: int) -> None:
+    """Raises `ValueError` unless `value` is a whole number (Python's or NumPy's) from `least` to `most`."""
+    whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
+    if not (whole and least <= value <= most):
+        raise ValueError(f"`{name}` must be a whole number from {least} to {most}, but is {shown(value)}.")
+
+
+def shown(value) -> str:
+    """A value as a message quotes it, shortened where it is long.
+
+    >>> len(shown("a" * 200))
+    85
+    """
+    try:
+        text = repr(value)
+    except ValueError:  # an integer with more digits than Python writes
+        return "a whole number of thousands of digits"
+    return text if len(text) <= 100 else f"{text[:40]} ... {text[-40:]}"
 
 
 def check_between(name: str, value: float, low: float, high: float, *, what: str = "") -> None:

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .results import check_positive
+from .results import LARGEST, check_positive
 
 __all__ = ["VACUUM_PERMITTIVITY", "VHB_4910", "Scalar", "Units", "as_scalar", "is_concrete"]
 
@@ -104,7 +104,10 @@ class Units(eqx.Module):
     def __check_init__(self):
         for name in _CONSTANTS:
             if is_concrete(getattr(self, name)):
-                check_positive(name, float(getattr(self, name)))
+                value = float(getattr(self, name))
+                check_positive(name, value)
+                if value < 1 / LARGEST:  # what is divided by it must not overflow
+                    raise ValueError(f"`{name}` must be at least {1 / LARGEST:g}, but is {value!r}.")
 
     @property
     def relative_permittivity(self):

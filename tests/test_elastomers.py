@@ -3,6 +3,7 @@
 import functools
 import math
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -21,6 +22,23 @@ def assert_same(one, other, rtol=1e-13):
     for a, b in zip(dj.stresses(one, L1, L2, 0.05), dj.stresses(other, L1, L2, 0.05), strict=True):
         np.testing.assert_allclose(a, b, rtol=rtol, atol=1e-12)
     np.testing.assert_allclose(one.energy(L1, L2), other.energy(L1, L2), rtol=rtol, atol=1e-13)
+
+
+def test_sixty_terms_are_the_sum_of_their_own():
+    """Also with a leaf that differs from lane to lane, as batches of scenes have."""
+    exponents = np.linspace(-3.0, 5.0, 60)
+    moduli = 2 / 60 / exponents
+    s1, _, s11, _ = dj.stresses(dj.Ogden(moduli=moduli, exponents=exponents), L1, L2, 0.0)
+    m, x, a, b = moduli[:, None], exponents[:, None], np.ravel(L1), np.ravel(L2)
+    np.testing.assert_allclose(np.ravel(s1), (m * (a ** (x - 1) - (a * b) ** -x / a)).sum(axis=0), rtol=1e-12)
+    slope = m * ((x - 1) * a ** (x - 2) + (x + 1) * (a * b) ** -x / a**2)
+    np.testing.assert_allclose(np.ravel(s11), slope.sum(axis=0), rtol=1e-12)
+    energies = m / x * (a**x + b**x + (a * b) ** -x - 3)
+    first = np.linspace(0.9, 1.1, a.size)
+    lanes = dj.Ogden(moduli=moduli, exponents=exponents)
+    lanes = eqx.tree_at(lambda film: film.moduli[0], lanes, first * moduli[0])
+    expected = energies.sum(axis=0) + (first - 1) * energies[0]
+    np.testing.assert_allclose(lanes.energy(a, b), expected, rtol=1e-11, atol=1e-14)
 
 
 @pytest.mark.parametrize(
@@ -79,6 +97,9 @@ def test_beyond_limits():
         (lambda: dj.Ogden(moduli=(1.0, 2.0), exponents=2.0), "`moduli` must be as many numbers as `exponents`"),
         (lambda: dj.Ogden(moduli=1.0, exponents=0.0), "`exponents` must be finite and not zero"),
         (lambda: dj.Ogden(moduli=-1.0, exponents=2.0), "`moduli` must give a positive shear modulus"),
+        (lambda: dj.Ogden(moduli=1e308, exponents=1e308), "`moduli` must be finite and at most 1e.50"),
+        (lambda: dj.Ogden(moduli=1.0, exponents=1e308), "`exponents` must be finite and not zero, from 0.001 to 1000"),
+        (lambda: dj.Ogden(moduli=[0.01] * 101, exponents=[2.0] * 101), "`moduli` must be at most 100 numbers, but are 101"),
         (lambda: dj.Electrostrictive(RUBBER), "`elastic` must be a material without a permittivity of its own"),
         (lambda: dj.Electrostrictive(stretch_coefficient=math.nan), "`stretch_coefficient` must be finite"),
         # C falls from the start on: no window is left

@@ -97,6 +97,7 @@ ROOMS = [
     "objectives",
     "design",
     "design_files",
+    "plain_text",
     "arguments",
     "summaries",
     "cli",
