@@ -10,6 +10,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
+from .results import LARGEST, shown
+
 __all__ = [
     "CHAMBER_OPTIONS",
     "MATERIAL_CONSTANTS",
@@ -66,9 +68,9 @@ def _sentence_of(message: str, prog: str) -> str:
     """Argparse's message as one sentence that names the option, the value and what is allowed."""
     found = re.match(r"argument (\S+): (.*)", message, re.DOTALL)
     if found is None:
-        unknown = re.match(r"unrecognized arguments: (.*)", message)
+        unknown = re.match(r"unrecognized arguments: (.*)", message, re.DOTALL)
         if unknown:
-            return f"{unknown[1]!r} is not known here; `{prog} --help` lists what is allowed."
+            return f"{shown(unknown[1])} is not known here; `{prog} --help` lists what is allowed."
         missing = re.match(r"the following arguments are required: (.*)", message)
         if missing:
             return f"{missing[1]} must be given; `{prog} --help` lists what is allowed."
@@ -80,10 +82,11 @@ def _sentence_of(message: str, prog: str) -> str:
     other = re.match(r"not allowed with argument (\S+)", said)
     if other:
         return f"{option} must not be given together with {other[1]}."
-    choice = re.match(r"invalid choice: (.*?) \(choose from (.*)\)", said)
+    choice = re.match(r"invalid choice: (.*) \(choose from (.*)\)", said, re.DOTALL)
     if choice:
         allowed = [c.strip().strip("'") for c in choice[2].split(",")]
-        return f"{option} must be {_one_of(allowed)}, but is {choice[1]}."
+        value = choice[1] if len(choice[1]) <= 100 else f"{choice[1][:40]} ... {choice[1][-40:]}"
+        return f"{option} must be {_one_of(allowed)}, but is {value}."
     expected = re.match(r"expected (.*?) arguments?$", said)
     if expected:
         return f"{option} must be followed by {expected[1]} value{'' if 'one' in expected[1] else 's'}."
@@ -103,7 +106,9 @@ def _number(check: Callable[[float], bool], what: str) -> Callable[[str], float]
         except ValueError:
             value = math.nan
         if not (math.isfinite(value) and check(value)):
-            raise argparse.ArgumentTypeError(f"must be {what}, but is {text!r}.")
+            raise argparse.ArgumentTypeError(f"must be {what}, but is {shown(text)}.")
+        if abs(value) > LARGEST:
+            raise argparse.ArgumentTypeError(f"must be at most {LARGEST:g} in size, but is {shown(text)}.")
         return value
 
     return read
@@ -113,19 +118,26 @@ _finite = _number(lambda v: True, "a finite number")
 _positive = _number(lambda v: v > 0, "a positive finite number")
 _not_negative = _number(lambda v: v >= 0, "zero or a positive finite number")
 _share = _number(lambda v: 0 < v < 1, "a number between 0 and 1")
+# what is divided by a constant of the units must not overflow
+_unit = _number(lambda v: 1 / LARGEST <= v <= LARGEST, f"a positive finite number from {1 / LARGEST:g} to {LARGEST:g}")
 _prestretch = _number(lambda v: v >= 1, "a finite number of at least 1")
 
 
-def _points(text: str) -> int:
-    if not (re.fullmatch(r"\d+", text) and 2 <= int(text) <= 1_000_000):
-        raise argparse.ArgumentTypeError(f"must be a whole number from 2 to 1000000, but is {text!r}.")
-    return int(text)
+def _whole(least: int, most: int) -> Callable[[str], int]:
+    """A reader of whole numbers between limits."""
+
+    def read(text: str) -> int:
+        # not int(text) at once: Python refuses thousands of digits with a sentence of its own
+        value = int(text) if re.fullmatch(r"[0-9]{1,18}", text) else -1
+        if not least <= value <= most:
+            raise argparse.ArgumentTypeError(f"must be a whole number from {least} to {most}, but is {shown(text)}.")
+        return value
+
+    return read
 
 
-def _count(text: str) -> int:
-    if not (re.fullmatch(r"\d+", text) and 1 <= int(text) <= 10_000):
-        raise argparse.ArgumentTypeError(f"must be a whole number from 1 to 10000, but is {text!r}.")
-    return int(text)
+_points = _whole(2, 1_000_000)
+_count = _whole(1, 10_000)
 
 
 def _breakdown(text: str) -> str | float:
@@ -155,7 +167,7 @@ def _parser() -> _Parser:
     group = common.add_argument_group("units")
     group.add_argument("--si", action="store_true", help="options and answers in SI")
     for name, (symbol, what) in UNIT_CONSTANTS.items():
-        group.add_argument(_option(name), type=_positive, metavar=symbol, help=what)
+        group.add_argument(_option(name), type=_unit, metavar=symbol, help=what)
     group = common.add_argument_group("answer")
     group.add_argument("--json", metavar="FILE|-", help="write JSON to a file, or to standard output with -")
     group.add_argument("--figure", metavar="FILE", help=f"draw a figure ({', '.join(_FIGURE_SUFFIXES)})")
@@ -304,33 +316,45 @@ def _check_files(args: argparse.Namespace) -> None:
         _check_file("--figure", args.figure)
         if Path(args.figure).suffix[1:].lower() not in _FIGURE_SUFFIXES:
             raise BadInput(
-                f"--figure must be a file name ending in {_one_of(_FIGURE_SUFFIXES)}, but is {args.figure!r}."
+                f"--figure must be a file name ending in {_one_of(_FIGURE_SUFFIXES)}, but is {shown(args.figure)}."
             )
 
 
 def _check_sweep(args: argparse.Namespace) -> None:
-    parent = Path(args.output).parent
-    if not args.output or not parent.is_dir() or not os.access(parent, os.W_OK):
-        raise BadInput(f"--output must be in a folder that exists and can be written, but is {args.output!r}.")
+    if not _writable(args.output, lambda path: path.parent):
+        raise BadInput(f"--output must be in a folder that exists and can be written, but is {shown(args.output)}.")
     if args.accept_versions and not args.resume:
         raise BadInput("--accept-versions must be given with --resume only.")
     if args.export is not None:
         _check_file("--export", args.export)
         if Path(args.export).suffix not in (".nc", ".csv"):
-            raise BadInput(f"--export must be a file name ending in .nc or .csv, but is {args.export!r}.")
+            raise BadInput(f"--export must be a file name ending in .nc or .csv, but is {shown(args.export)}.")
+
+
+def _writable(name: str, folder_of: Callable[[Path], Path | None]) -> bool:
+    """Whether the folder that a name means to be written in, if it means one, is there and can be written."""
+    if not name or "\0" in name:
+        return False
+    try:
+        folder = folder_of(Path(name))
+        return folder is not None and folder.is_dir() and os.access(folder, os.W_OK)
+    except OSError:  # a name that is too long, a loop of links
+        return False
 
 
 def _check_file(option: str, name: str) -> None:
-    path = Path(name)
-    if not name or path.is_dir() or not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
-        raise BadInput(f"{option} must be a file in a folder that exists and can be written, but is {name!r}.")
+    if not _writable(name, lambda path: None if path.is_dir() else path.parent):
+        raise BadInput(f"{option} must be a file in a folder that exists and can be written, but is {shown(name)}.")
 
 
 def _check_folder(option: str, name: str) -> None:
-    path = Path(name)
-    there = path if path.is_dir() else path.parent
-    if not name or (path.exists() and not path.is_dir()) or not there.is_dir() or not os.access(there, os.W_OK):
-        raise BadInput(f"{option} must be a folder that can be written, or made in one that exists, but is {name!r}.")
+    def folder(path: Path) -> Path | None:
+        return path if path.is_dir() else None if path.exists() else path.parent
+
+    if not _writable(name, folder):
+        raise BadInput(
+            f"{option} must be a folder that can be written, or made in one that exists, but is {shown(name)}."
+        )
 
 
 def _option(name: str) -> str:

@@ -7,11 +7,13 @@ and exit status 1. Everything that takes long to import is imported once the inp
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,7 @@ from .arguments import (
     option_names,
     read_arguments,
 )
+from .plain_text import readable_streams
 from .results import SceneError, StoreError, WorkersLost
 from .summaries import summary
 
@@ -288,12 +291,8 @@ def _answer(args: argparse.Namespace) -> None:
     _write(document, draw, args)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Runs the program on `argv` (the process's own arguments when None) and returns its exit status.
-
-    >>> main(["equilibrium", "--volume", "-1"])
-    2
-    """
+def _status(argv: Sequence[str] | None) -> int:
+    """Runs the program and returns its exit status; what it refuses is one sentence on standard error."""
     try:
         _answer(read_arguments(argv))
     except BadInput as error:
@@ -313,6 +312,31 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"{PROGRAM}: stopped.", file=sys.stderr)
         return 130
     return 0
+
+
+@contextlib.contextmanager
+def _warnings_as_sentences() -> Iterator[None]:
+    """Within it this package's warnings are sentences on standard error, and overflow in NumPy's arrays, which ends as NaN
+    that the answer tells of, is none.
+    """
+
+    def show(message: Warning | str, *_: Any, **__: Any) -> None:
+        print(f"{PROGRAM}: {message}", file=sys.stderr)
+
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".* encountered in ", category=RuntimeWarning)
+        warnings.showwarning = show
+        yield
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs the program on `argv` (the process's own arguments when None) and returns its exit status.
+
+    >>> main(["equilibrium", "--volume", "-1"])
+    2
+    """
+    with readable_streams(), _warnings_as_sentences():
+        return _status(argv)
 
 
 if __name__ == "__main__":

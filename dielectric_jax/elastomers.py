@@ -111,7 +111,9 @@ class Ogden(AbstractMaterial):
             wrong = ~(np.abs(values) <= most) | ((name == "exponents") & (np.abs(values) < 1 / _LARGEST_EXPONENT))
             if wrong.any():
                 allowed = f"at most {most:g}" if name == "moduli" else f"not zero, from {1 / most:g} to {most:g}"
-                raise ValueError(f"`{name}` must be finite and {allowed} in size, but one is {float(values[wrong][0])!r}.")
+                raise ValueError(
+                    f"`{name}` must be finite and {allowed} in size, but one is {float(values[wrong][0])!r}."
+                )
         modulus = float(np.dot(self.moduli, self.exponents)) / 2
         if not modulus > 0:
             raise ValueError(f"`moduli` must give a positive shear modulus ½ Σ μ_k α_k, but give {modulus!r}.")

@@ -99,7 +99,10 @@ def test_beyond_limits():
         (lambda: dj.Ogden(moduli=-1.0, exponents=2.0), "`moduli` must give a positive shear modulus"),
         (lambda: dj.Ogden(moduli=1e308, exponents=1e308), "`moduli` must be finite and at most 1e.50"),
         (lambda: dj.Ogden(moduli=1.0, exponents=1e308), "`exponents` must be finite and not zero, from 0.001 to 1000"),
-        (lambda: dj.Ogden(moduli=[0.01] * 101, exponents=[2.0] * 101), "`moduli` must be at most 100 numbers, but are 101"),
+        (
+            lambda: dj.Ogden(moduli=[0.01] * 101, exponents=[2.0] * 101),
+            "`moduli` must be at most 100 numbers, but are 101",
+        ),
         (lambda: dj.Electrostrictive(RUBBER), "`elastic` must be a material without a permittivity of its own"),
         (lambda: dj.Electrostrictive(stretch_coefficient=math.nan), "`stretch_coefficient` must be finite"),
         # C falls from the start on: no window is left

@@ -83,7 +83,7 @@ def test_an_executor_that_forks_is_refused(monkeypatch):
         own = concurrent.futures.ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))
         monkeypatch.setattr(own, "_mp_context", None)
         monkeypatch.setattr(own, attribute, fork, raising=False)
-        with pytest.raises(ValueError, match='`executor` must start .* make it with .*get_context."spawn"') as said:
+        with pytest.raises(ValueError, match=r'`executor` must start .* make it with .*get_context."spawn"') as said:
             dj.sweep(scene, chamber_volume=[800.0], executor=own)
         assert str(said.value).count(". ") == 0
     for method in set(multiprocessing.get_all_start_methods()) - {"fork"}:

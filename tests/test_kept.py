@@ -204,7 +204,9 @@ def test_a_surface_of_another_user_is_built_anew(monkeypatch, tmp_path):
     path = dj.Surface.path_of(membrane, 1e-5)
     dj.Surface.build(other, tolerance=1e-5)
     # the other membrane's numbers with this one's fingerprint
-    wrong = dj.Surface(membrane, *(getattr(dj.Surface.build(other, tolerance=1e-5), n) for n in NUMBERS), tolerance=1e-5)
+    wrong = dj.Surface(
+        membrane, *(getattr(dj.Surface.build(other, tolerance=1e-5), n) for n in NUMBERS), tolerance=1e-5
+    )
     wrong.save(path)
     assert float(dj.Surface.build(membrane, tolerance=1e-5)(1.5, 0.0).pressure) != float(right(1.5, 0.0).pressure)
     given_away(path)
