@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from .results import LARGEST, check_whole, shown
 from .scene import PARAMETERS, Scene
 
 __all__ = ["Axis", "Design", "read_scenes", "samples", "zipped"]
@@ -16,6 +17,7 @@ __all__ = ["Axis", "Design", "read_scenes", "samples", "zipped"]
 _ZERO_ALLOWED = ("initial_volume", "initial_pressure", "pressure", "atmospheric_pressure")
 _ANY_ALLOWED = ("c1", "c2", "thickness_coefficient", "stretch_coefficient")
 _LISTS = ("moduli", "exponents")  # one scene's value is a list
+MOST_VALUES = 10**7  # of an axis, each of which is held in memory, some of them for every scene at once
 _METHODS = ("sobol", "latin_hypercube", "random")
 
 
@@ -27,18 +29,22 @@ def _checked(name: str, values) -> np.ndarray:
         raise ValueError(f"`{name}` must not vary along an axis, because its value is a list.")
     try:
         column = np.atleast_1d(np.asarray(values, float))
-    except (TypeError, ValueError):
-        raise ValueError(f"`{name}` must be a list of numbers, but is {values!r}.") from None
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"`{name}` must be a list of numbers, but is {shown(values)}.") from None
     if column.ndim != 1 or not column.size:
         raise ValueError(f"`{name}` must be a list of at least one number, but has the shape {column.shape}.")
     least = -np.inf if name in _ANY_ALLOWED else 1.0 if name == "prestretch" else 0.0
-    allowed = np.isfinite(column) & ((column > least) | ((column == least) & (name in (*_ZERO_ALLOWED, "prestretch"))))
+    allowed = (np.abs(column) <= LARGEST) & (
+        (column > least) | ((column == least) & (name in (*_ZERO_ALLOWED, "prestretch")))
+    )
     if not allowed.all():
         what = {"prestretch": "at least 1 and "}.get(
             name, "zero or positive and " if name in _ZERO_ALLOWED else "positive and "
         )
         what = "" if name in _ANY_ALLOWED else what
-        raise ValueError(f"`{name}` must be {what}finite, but one value is {float(column[~allowed][0])!r}.")
+        value = float(column[~allowed][0])
+        finite = f"at most {LARGEST:g} in size" if LARGEST < abs(value) < math.inf else "finite"
+        raise ValueError(f"`{name}` must be {what}{finite}, but one value is {value!r}.")
     return column
 
 
@@ -105,12 +111,12 @@ def samples(count: int, dimension: str = "scene", /, *, method: str = "sobol", s
     from scipy.stats import qmc
 
     if method not in _METHODS:
-        raise ValueError(f"`method` must be one of {', '.join(_METHODS)}, but is {method!r}.")
-    if not (isinstance(count, (int, np.integer)) and count > 0):
-        raise ValueError(f"`count` must be a positive whole number, but is {count!r}.")
+        raise ValueError(f"`method` must be one of {', '.join(_METHODS)}, but is {shown(method)}.")
+    check_whole("count", count, 1, MOST_VALUES)
+    check_whole("seed", seed, 0, 2**128 - 1)
     for name, distribution in distributions.items():
         if not callable(getattr(distribution, "ppf", None)):
-            raise ValueError(f"`{name}` must be a distribution with a method `ppf`, but is {distribution!r}.")
+            raise ValueError(f"`{name}` must be a distribution with a method `ppf`, but is {shown(distribution)}.")
     random = np.random.default_rng(seed)
     names = list(distributions)
     if method == "sobol":
@@ -132,8 +138,8 @@ def read_scenes(path, dimension: str = "scene") -> Axis:
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:
             rows = [(line.line_num, row) for line in [csv.reader(file)] for row in line if row]
-    except (OSError, UnicodeDecodeError):
-        raise ValueError(f"`path` must be a CSV file that can be read, but is {str(path)!r}.") from None
+    except (OSError, ValueError, csv.Error):  # no file, no text, or no lines of CSV
+        raise ValueError(f"`path` must be a CSV file that can be read, but is {shown(str(path))}.") from None
     if len(rows) < 2:
         raise ValueError(f"`path` must hold a line of names and a line for each scene, but {str(path)!r} does not.")
     names = [name.strip() for name in rows[0][1]]

@@ -21,12 +21,14 @@ from .family import SurfaceFamily
 from .records import plain
 from .regime_maps import even
 from .regimes import Regime
+from .results import check_whole
 from .scenarios import scenarios_of
 from .scene import PARAMETERS, Scene, describe
 from .surface import Surface
 
 __all__ = ["Design", "maximise_area_strain"]
 
+_MOST_SOUGHT = 6  # parameters, of which the scan takes 7 values each
 _SCAN = {1: (256,), 2: (24, 24), 3: (12, 12, 12)}
 _SEEDS = 5
 _INWARD = 1e-7  # of the range: the check steps back from the edges by it
@@ -116,6 +118,9 @@ def maximise_area_strain(
     """
     if not over:
         raise ValueError("`over` must name at least one parameter, but is empty.")
+    if len(over) > _MOST_SOUGHT:
+        raise ValueError(f"`over` must name at most {_MOST_SOUGHT} parameters, but names {len(over)}.")
+    check_whole("compare", compare, 0, 10_000_000)
     wishes = Wishes(survival_margin, operating_margin, must_snap, way_down)
     axes = [axis_of(name, limits) for name, limits in over.items()]
     names = tuple(over)

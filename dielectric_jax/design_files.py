@@ -1,10 +1,18 @@
 """Questions about designs written down: a file of TOML with a scene, the parameters that vary, and what is wished for."""
 
-from .documents import number, read_toml, refuse, scene_of, table
+from .documents import check_dimensionless, number, read_toml, refuse, scene_of, table
+from .results import shown
 from .scene import PARAMETERS, Scene
 
 __all__ = ["read_design_file"]
 
+_WORDS = {
+    (int, list): "a whole number or two",
+    (int, float): "a number",
+    (int,): "a whole number",
+    (bool,): "true or false",
+    (str,): "a text",
+}
 _WISHES = {
     "regimes": {"points": (int, list)},
     "optimise": {
@@ -29,15 +37,16 @@ def read_design_file(path: str, command: str) -> tuple[Scene, dict, dict]:
     over = {}
     for name, limits in table("over", document.get("over", {})).items():
         if not (isinstance(limits, list) and len(limits) == 2):
-            raise ValueError(f"`{name}` in [over] must be a pair [low, high], but is {limits!r}.")
+            raise ValueError(f"`{name}` in [over] must be a pair [low, high], but is {shown(limits)}.")
         over[name] = tuple(number("over", name, v) for v in limits)
     options = dict(table(command, document.get(command, {})))
     refuse(command, options, _WISHES[command])
     for name, value in options.items():
-        if not isinstance(value, _WISHES[command][name]) or (
-            isinstance(value, bool) and bool not in _WISHES[command][name]
-        ):
-            raise ValueError(f"`{name}` in [{command}] must be of another type, but is {value!r}.")
+        kinds = _WISHES[command][name]
+        if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
+            raise ValueError(f"`{name}` in [{command}] must be {_WORDS[kinds]}, but is {shown(value)}.")
+        if kinds == (int, float):
+            options[name] = number(command, name, value)
     if isinstance(options.get("points"), list):
         options["points"] = tuple(options["points"])
     if "uncertain" in document:
@@ -45,4 +54,6 @@ def read_design_file(path: str, command: str) -> tuple[Scene, dict, dict]:
         options["uncertain"] = {name: number("uncertain", name, share) for name, share in given.items()}
     scene, constants = (table(name, document.get(name, {})) for name in ("scene", "units"))
     sought = {n: low for n, (low, _) in over.items() if n in PARAMETERS and PARAMETERS[n][0] != "units"}
-    return scene_of(sought | scene, constants), over, options
+    made = scene_of(sought | scene, constants)
+    check_dimensionless(scene | over, constants)
+    return made, over, options

@@ -18,7 +18,7 @@ from .family import SurfaceFamily
 from .grid_lines import beside_change, chains, changes
 from .records import plain
 from .regimes import Regime
-from .results import check_positive
+from .results import LARGEST, check_whole, shown
 from .scene import PARAMETERS, Scene, describe
 from .surface import Surface
 
@@ -30,6 +30,7 @@ _ISLAND = 6  # designs
 _VAGUE = 3.0  # cells
 _DECADES = 1.2  # a range wider than this many decades is divided evenly in the logarithm
 #: parameters with another sheet of states at every value
+_MOST_POINTS = 10_000  # along a parameter
 _SHEETS = ("prestretch", *MATERIAL_CONSTANTS)
 #: … or another breakdown law
 _LAWS = ("breakdown_field_scale", "shear_modulus", "permittivity")
@@ -125,10 +126,12 @@ def check_range(name: str, limits) -> tuple[float, float]:
         raise ValueError(f"`{name}` must be one of {', '.join(PARAMETERS)}, but is not a parameter of a scene.")
     try:
         low, high = (float(v) for v in limits)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         low = high = np.nan
-    if not (np.isfinite([low, high]).all() and low < high):
-        raise ValueError(f"`{name}` must range over two finite numbers (low, high) with low < high, but is {limits!r}.")
+    if not (abs(low) <= LARGEST and abs(high) <= LARGEST and low < high):
+        raise ValueError(
+            f"`{name}` must range over two finite numbers (low, high) with low < high, but is {shown(limits)}."
+        )
     return low, high
 
 
@@ -342,11 +345,11 @@ def _counts(names, points) -> tuple[int, int]:
     if points is None:
         first, second = (_SHEET_POINTS if n in (*_SHEETS, *_LAWS) else _POINTS for n in names)
         return first, second
-    counts = (points, points) if isinstance(points, int) else tuple(points)
+    counts = tuple(points) if isinstance(points, (tuple, list)) else (points, points)
+    if len(counts) != 2:
+        raise ValueError(f"`points` must be a whole number, or two of them, but is {shown(points)}.")
     for count in counts:
-        check_positive("points", float(count))
-    if len(counts) != 2 or min(counts) < 3:
-        raise ValueError(f"`points` must be a number of at least 3, or two of them, but is {points!r}.")
+        check_whole("points", count, 3, _MOST_POINTS)
     return int(counts[0]), int(counts[1])
 
 

@@ -29,6 +29,7 @@ from .materials import (
     VHBBreakdown,
 )
 from .membrane import Membrane
+from .results import LARGEST, shown
 from .units import Units, is_concrete
 
 __all__ = ["PARAMETERS", "Scene", "Window", "describe", "pair"]
@@ -67,10 +68,12 @@ def pair(name, value) -> tuple[float, float]:
     """Two finite numbers, the lower first; raises ValueError by the name otherwise."""
     try:
         low, high = (float(v) for v in value)
-    except (TypeError, ValueError):
-        raise ValueError(f"`{name}` must be a pair of numbers (low, high), but is {value!r}.") from None
-    if not (np.isfinite(low) and np.isfinite(high) and low < high):
-        raise ValueError(f"`{name}` must be finite with low < high, but is ({low!r}, {high!r}).")
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"`{name}` must be a pair of numbers (low, high), but is {shown(value)}.") from None
+    if not (abs(low) <= LARGEST and abs(high) <= LARGEST and low < high):
+        raise ValueError(
+            f"`{name}` must be finite, at most {LARGEST:g} in size, with low < high, but is ({low!r}, {high!r})."
+        )
     return low, high
 
 

@@ -1,12 +1,14 @@
 """Sweeps written down: a file of TOML that says which scene, which parameters vary and how, and with which engine."""
 
+import dataclasses
 import pathlib
 import typing
 
 import numpy as np
 
 from .axes import Axis, axes_of, read_scenes, samples, zipped
-from .documents import number, read_toml, refuse, scene_of, table, values
+from .documents import check_dimensionless, number, one_of, read_toml, refuse, scene_of, table, values
+from .results import shown
 from .scene import PARAMETERS, Scene
 
 __all__ = ["read_specification"]
@@ -27,9 +29,7 @@ def _distribution(where: str, name: str, given: typing.Any):
     from scipy import stats
 
     own = dict(table(name, given))
-    kind = own.pop("distribution", "uniform")
-    if kind not in _DISTRIBUTIONS:
-        raise ValueError(f"`distribution` must be one of {', '.join(_DISTRIBUTIONS)}, but is {kind!r} for `{name}`.")
+    kind = one_of(f"{where}.{name}", "distribution", own.pop("distribution", "uniform"), _DISTRIBUTIONS)
     keys = _DISTRIBUTIONS[kind]
     refuse(f"{where}.{name}", own, keys)
     missing = [key for key in keys if key not in own]
@@ -68,7 +68,10 @@ def _axes(document: dict, folder: pathlib.Path) -> list[Axis]:
     for dimension, given in table("table", document.get("table", {})).items():
         own = table(f"table.{dimension}", given)
         refuse(f"table.{dimension}", own, ("file",))
-        axes.append(read_scenes(folder / str(own.get("file", "")), dimension))
+        file = own.get("file")
+        if not (isinstance(file, str) and file):
+            raise ValueError(f"`file` must name a CSV file in [table.{dimension}], but is {shown(file)}.")
+        axes.append(read_scenes(folder / file, dimension))
     return axes
 
 
@@ -91,7 +94,9 @@ def read_specification(path) -> tuple[Scene, list[Axis], dict[str, typing.Any]]:
         good = isinstance(value, (int, float)) if kind is float else isinstance(value, kind)
         if not good or (isinstance(value, bool) and kind is not bool):
             what = {str: "a text", bool: "true or false", float: "a number", int: "a whole number"}[kind]
-            raise ValueError(f"`{name}` in {str(path)!r} must be {what}, but is {value!r}.")
+            raise ValueError(f"`{name}` in {str(path)!r} must be {what}, but is {shown(value)}.")
+        if kind is float:
+            options[name] = number("", name, value)
     axes = _axes(document, path.parent)
     given = dict(table("scene", document.get("scene", {})))
     varied = {name: float(column[0]) for axis in axes for name, column in axis.columns.items()}
@@ -101,4 +106,21 @@ def read_specification(path) -> tuple[Scene, list[Axis], dict[str, typing.Any]]:
     of_units = [n for n in varied if PARAMETERS[n][0] == "units"]
     if of_units and not constants:
         raise ValueError(f"`{of_units[0]}` must have a [units] table of the scene's own constants, but there is none.")
-    return scene_of(given | {n: v for n, v in varied.items() if n not in of_units}, constants), axes, options
+    columns = {name: column for axis in axes for name, column in axis.columns.items()}
+    scene = scene_of(given | {n: v for n, v in varied.items() if n not in of_units}, constants)
+    check_dimensionless(given | columns, constants)
+    scaled = [n for n in varied if PARAMETERS[n][0] == "loading" and _changes_with(n, of_units, scene)]
+    if scaled:
+        raise ValueError(
+            f"`{scaled[0]}` must not vary together with `{of_units[0]}`, which changes the unit it is counted in; give it in "
+            "[scene], where it keeps its size in SI."
+        )
+    return scene, axes, options
+
+
+def _changes_with(name: str, of_units: list[str], scene: Scene) -> bool:
+    """Whether the unit of a quantity depends on any of these constants of the units."""
+    units = scene.units
+    return units is not None and any(
+        dataclasses.replace(units, **{n: 2 * getattr(units, n)}).scale(name) != units.scale(name) for n in of_units
+    )

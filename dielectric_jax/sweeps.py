@@ -6,6 +6,7 @@ import functools
 import hashlib
 import importlib.metadata
 import json
+import math
 import os
 import pathlib
 import pickle
@@ -23,7 +24,7 @@ from .executors import Progress, executor_of, run_blocks
 from .kept import source_digest
 from .loading import Chamber, ConstantPressure
 from .membrane import require_float64
-from .results import StoreError
+from .results import StoreError, check_whole
 from .scene import Scene, describe
 from .states import check_request
 from .store import Memory, ZarrStore, need, open_group
@@ -34,6 +35,7 @@ __all__ = ["open_sweep", "sweep"]
 
 _FAMILY_FROM = 9  # prestretches from which on their surfaces are taken from a family
 _PACKAGES = ("jax", "jaxlib", "diffrax", "equinox", "numpy", "scipy")
+_MOST_BLOCKS = 10**6  # of each of which a store keeps a file for every variable
 _UNANSWERED = (Answer.unresolved, Answer.no_answer, Answer.invalid_scene, Answer.failed)
 
 
@@ -88,14 +90,15 @@ def sweep(
     require_float64()
     design = Design(scene, (*axes, *axes_of(parameters)))
     job = _job(design, engine, resolve, curves, tolerance)
-    if block is not None and not (isinstance(block, (int, np.integer)) and block > 0):
-        raise ValueError(f"`block` must be a positive whole number, but is {block!r}.")
+    if block is not None:
+        check_whole("block", block, 1, 2**31 - 1)
     if resume and output is None:
         raise ValueError("`resume` must be given with `output` only, because memory holds nothing to resume.")
     need("xarray")
     if isinstance(executor, int) and executor is not True:
         _check_pickle(job)
     variables = variables_of(curves)
+    _check_names(design, variables)
     attributes = _attributes(design, job)
     path = None if output is None else pathlib.Path(output)
     with executor_of(executor) as pool, contextlib.ExitStack() as stack:
@@ -109,6 +112,7 @@ def sweep(
             raise StoreError(f"{str(path)!r} is there already; resume it, or name another store.")
         else:
             chunk = design.chunk(block or block_size(job, design.count))
+            _check_size(design, chunk, variables, path is None)
             if path is None:
                 store = Memory(design, chunk, variables)
             else:
@@ -140,6 +144,46 @@ def _job(design: Design, engine: str, resolve: bool, curves: bool, tolerance: fl
         family = float(stretches[0].min()), float(stretches[0].max())
     folder = enabled_folder()
     return Job(design.scene, engine, resolve, curves, tolerance, family, None if folder is None else str(folder))
+
+
+def _check_size(design: Design, chunk, variables, in_memory: bool) -> None:
+    """Refuses a sweep whose blocks, or in memory whose numbers, are too many to be held."""
+    blocks = math.prod(-(-size // own) for size, own in zip(design.shape, chunk, strict=True))
+    if blocks > _MOST_BLOCKS:
+        raise ValueError(
+            f"`block` must be larger for {design.count} scenes, of which {blocks} blocks would be made; at most "
+            f"{_MOST_BLOCKS} can be."
+        )
+    needed = design.count * sum(np.dtype(v.dtype).itemsize * math.prod(v.dims.values()) for v in variables)
+    if in_memory and needed > memory():
+        raise ValueError(
+            f"`output` must name a store for {design.count} scenes, which take {needed / 2**30:.3g} GiB in memory, "
+            f"of which there are {memory() / 2**30:.3g} GiB."
+        )
+
+
+def _check_names(design: Design, variables) -> None:
+    """Refuses an axis with the name of a variable of the dataset, or of another of its dimensions."""
+    taken = {
+        "block",
+        "block_done",
+        "block_checksum",
+        *(v.name for v in variables),
+        *(d for v in variables for d in v.dims),
+    }
+    for name in design.dimensions:
+        if name in taken:
+            raise ValueError(
+                f"`{name}` must not be the name of an axis, because the dataset holds a variable of that name."
+            )
+
+
+def memory() -> int:
+    """The bytes of memory of this machine; 16 GiB where the system does not say."""
+    try:
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, OSError, ValueError):
+        return 2**34
 
 
 def _check_pickle(job: Job) -> None:
