@@ -6,10 +6,11 @@ import argparse
 import math
 import os
 import re
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
 
+from .refusals import BadInput, Parser, one_of
 from .results import LARGEST, shown
 
 __all__ = [
@@ -46,55 +47,6 @@ UNIT_CONSTANTS = {
     "radius": ("M", "undeformed radius A in m (22.5e-3)"),
     "relative_permittivity": ("E", "relative permittivity (4.7)"),
 }
-
-
-class BadInput(Exception):
-    """Input that is refused; the message is the sentence to print."""
-
-
-class _Parser(argparse.ArgumentParser):
-    """An argparse parser whose errors are `BadInput`, and that reads -1e-3 and -inf as numbers."""
-
-    def __init__(self, *args: Any, **kwargs: Any):
-        kwargs.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
-        super().__init__(*args, allow_abbrev=False, **kwargs)
-        self._negative_number_matcher = re.compile(r"^-(\d|\.\d|inf|nan)", re.IGNORECASE)
-
-    def error(self, message: str) -> NoReturn:
-        raise BadInput(_sentence_of(message, self.prog))
-
-
-def _sentence_of(message: str, prog: str) -> str:
-    """Argparse's message as one sentence that names the option, the value and what is allowed."""
-    found = re.match(r"argument (\S+): (.*)", message, re.DOTALL)
-    if found is None:
-        unknown = re.match(r"unrecognized arguments: (.*)", message, re.DOTALL)
-        if unknown:
-            return f"{shown(unknown[1])} is not known here; `{prog} --help` lists what is allowed."
-        missing = re.match(r"the following arguments are required: (.*)", message)
-        if missing:
-            return f"{missing[1]} must be given; `{prog} --help` lists what is allowed."
-        missing = re.match(r"one of the arguments (.*) is required", message)
-        if missing:
-            return f"One of {', '.join(missing[1].split())} must be given, but none is."
-        return message[0].upper() + message[1:].rstrip(".") + "."
-    option, said = found.groups()
-    other = re.match(r"not allowed with argument (\S+)", said)
-    if other:
-        return f"{option} must not be given together with {other[1]}."
-    choice = re.match(r"invalid choice: (.*) \(choose from (.*)\)", said, re.DOTALL)
-    if choice:
-        allowed = [c.strip().strip("'") for c in choice[2].split(",")]
-        value = choice[1] if len(choice[1]) <= 100 else f"{choice[1][:40]} ... {choice[1][-40:]}"
-        return f"{option} must be {_one_of(allowed)}, but is {value}."
-    expected = re.match(r"expected (.*?) arguments?$", said)
-    if expected:
-        return f"{option} must be followed by {expected[1]} value{'' if 'one' in expected[1] else 's'}."
-    return f"{option} {said}"
-
-
-def _one_of(words: Sequence[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
 
 
 def _number(check: Callable[[float], bool], what: str) -> Callable[[str], float]:
@@ -146,12 +98,12 @@ def _breakdown(text: str) -> str | float:
     return _number(lambda v: v > 0, "vhb or a positive field in units of √(μ/ε)")(text)
 
 
-def _parser() -> _Parser:
-    parser = _Parser(prog=PROGRAM, description=_DESCRIPTION)
+def _parser() -> Parser:
+    parser = Parser(prog=PROGRAM, description=_DESCRIPTION)
     parser.add_argument("--version", action="version", version=f"{PROGRAM} {_version()}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
 
-    common = _Parser(add_help=False)
+    common = Parser(add_help=False)
     group = common.add_argument_group("membrane")
     group.add_argument("--material", choices=list(MATERIAL_CONSTANTS), default="gent", help="free energy (gent)")
     group.add_argument("--stretch-limit", type=_positive, metavar="J", help="limit J of gent (270)")
@@ -309,14 +261,18 @@ def _check(args: argparse.Namespace) -> None:
 
 
 def _check_files(args: argparse.Namespace) -> None:
-    """Refuses files that cannot be written."""
+    """Refuses names that no file can have, and files that cannot be written."""
+    for name, said in (("specification", "SPEC.toml"), ("data", "DATA.csv")):
+        file = getattr(args, name, None)
+        if file is not None and not _can_be(file):
+            raise BadInput(f"{said} must be the name of a file, but is {shown(file)}.")
     if args.json is not None and args.json != "-":
         _check_file("--json", args.json)
     if getattr(args, "figure", None) is not None:
         _check_file("--figure", args.figure)
         if Path(args.figure).suffix[1:].lower() not in _FIGURE_SUFFIXES:
             raise BadInput(
-                f"--figure must be a file name ending in {_one_of(_FIGURE_SUFFIXES)}, but is {shown(args.figure)}."
+                f"--figure must be a file name ending in {one_of(_FIGURE_SUFFIXES)}, but is {shown(args.figure)}."
             )
 
 
@@ -333,13 +289,21 @@ def _check_sweep(args: argparse.Namespace) -> None:
 
 def _writable(name: str, folder_of: Callable[[Path], Path | None]) -> bool:
     """Whether the folder that a name means to be written in, if it means one, is there and can be written."""
-    if not name or "\0" in name:
+    if not _can_be(name):
         return False
+    folder = folder_of(Path(name))
+    return folder is not None and folder.is_dir() and os.access(folder, os.W_OK)
+
+
+def _can_be(name: str) -> bool:
+    """Whether a file of that name can be, whether or not there is one."""
     try:
-        folder = folder_of(Path(name))
-        return folder is not None and folder.is_dir() and os.access(folder, os.W_OK)
-    except OSError:  # a name that is too long, a loop of links
+        os.lstat(name)
+    except (FileNotFoundError, NotADirectoryError):
+        return bool(name)
+    except (OSError, ValueError):  # too long, a loop of links, a NUL, characters that the file system does not have
         return False
+    return True
 
 
 def _check_file(option: str, name: str) -> None:
@@ -390,6 +354,10 @@ def option_names(message: str, args: argparse.Namespace) -> str:
 
 def read_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     """The options of `argv` (the process's own when None), well formed; raises `BadInput` where they are not."""
+    argv = sys.argv[1:] if argv is None else argv
+    for word in argv:
+        if re.fullmatch(r"--[a-z0-9-]+=--", word):  # argparse takes the two dashes away and leaves no value at all
+            raise BadInput(f"{word[:-3]} must be followed by a value, but is followed by '--'.")
     args = _parser().parse_args(argv)
     _check(args)
     return args

@@ -175,7 +175,7 @@ def values(where: str, name: str, given: typing.Any) -> np.ndarray:
         raise ValueError(f"`{missing[0]}` must be given for `{name}` in [{where}], but is not.")
     low, high = (number(where, key, own[key]) for key in ("from", "to"))
     count, spacing = own["count"], own.get("spacing", "linear")
-    check_whole("count", count, 1, MOST_VALUES)
+    check_whole("count", count, 1, MOST_VALUES, where=f"{where}.{name}")
     one_of(f"{where}.{name}", "spacing", spacing, ("linear", "log"))
     if spacing == "log" and not min(low, high) > 0:
         raise ValueError(f"`from` and `to` must be positive with spacing log for `{name}` in [{where}].")

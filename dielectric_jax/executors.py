@@ -14,7 +14,7 @@ import typing
 from collections.abc import Callable, Iterator, Sequence
 
 from .programs import cores
-from .results import WorkersLost
+from .results import WorkersLost, shown
 from .store import need
 
 __all__ = ["Progress", "executor_of", "run_blocks"]
@@ -96,7 +96,7 @@ def executor_of(what) -> Iterator[_Processes | _Given]:
             client = distributed.Client(what, timeout="10s", set_as_default=False)
         except (OSError, ValueError, TimeoutError):
             raise ValueError(
-                f"`executor` must be the address of a Dask scheduler, but none answers at {what!r}."
+                f"`executor` must be the address of a Dask scheduler, but none answers at {shown(what)}."
             ) from None
         with client, client.get_executor() as executor:
             yield _Given(executor, max(1, sum(client.nthreads().values())))

@@ -14,6 +14,7 @@ from .membrane import Membrane, Profile
 from .paper_figures import FIGURES
 from .paper_statements import STATEMENTS, Statement, statements_table
 from .profiles import profile
+from .results import shown
 from .scene import Scene
 from .units import Units
 
@@ -94,7 +95,9 @@ def reproduce(
     wanted = list(FIGURES) if only is None else list(dict.fromkeys(str(name) for name in only))
     for name in wanted:
         if name not in FIGURES:
-            raise ValueError(f"`only` must be numbers of computed figures, {', '.join(FIGURES)}, but holds {name!r}.")
+            raise ValueError(
+                f"`only` must be numbers of computed figures, {', '.join(FIGURES)}, but holds {shown(name)}."
+            )
     folder, paper, statements = pathlib.Path(folder), Paper(), []
     for name in wanted:
         say(f"figure {name} …")

@@ -115,11 +115,12 @@ def check_positive(name: str, value: float, *, zero: bool = False) -> None:
         raise ValueError(f"`{name}` must be {allowed} and at most {LARGEST:g}, but is {value!r}.")
 
 
-def check_whole(name: str, value, least: int, most: int) -> None:
-    """Raises `ValueError` unless `value` is a whole number (Python's or NumPy's) from `least` to `most`."""
+def check_whole(name: str, value, least: int, most: int, *, where: str = "") -> None:
+    """Raises `ValueError` unless `value` is a whole number (Python's or NumPy's) from `least` to `most`; `where` it stands."""
     whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
     if not (whole and least <= value <= most):
-        raise ValueError(f"`{name}` must be a whole number from {least} to {most}, but is {shown(value)}.")
+        place = f" in [{where}]" if where else ""
+        raise ValueError(f"`{name}`{place} must be a whole number from {least} to {most}, but is {shown(value)}.")
 
 
 def shown(value) -> str:

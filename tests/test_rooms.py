@@ -98,6 +98,7 @@ ROOMS = [
     "design",
     "design_files",
     "plain_text",
+    "refusals",
     "arguments",
     "summaries",
     "cli",
