@@ -102,8 +102,9 @@ def executor_of(what) -> Iterator[_Processes | _Given]:
             yield _Given(executor, max(1, sum(client.nthreads().values())))
         return
     elif callable(getattr(what, "get_executor", None)):  # a Dask client, whose own futures are of another kind
-        with what.get_executor() as executor:
-            yield _Given(executor, max(1, sum(what.nthreads().values())))
+        client = typing.cast(typing.Any, what)
+        with client.get_executor() as executor:
+            yield _Given(executor, max(1, sum(client.nthreads().values())))
         return
     elif isinstance(what, concurrent.futures.Executor) or callable(getattr(what, "submit", None)):
         _refuse_fork(what)

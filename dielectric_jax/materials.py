@@ -110,8 +110,8 @@ class Gent(AbstractMaterial):
             check_positive("stretch_limit", value)
             if not _LEAST_LIMIT <= value <= _LARGEST_LIMIT:
                 raise ValueError(
-                    f"`stretch_limit` must lie between {_LEAST_LIMIT:g} and {_LARGEST_LIMIT:g}, but is {value!r}; a "
-                    "material without a limit is NeoHookean."
+                    f"`stretch_limit` must be from {_LEAST_LIMIT:g} to {_LARGEST_LIMIT:g} (a material without a limit is "
+                    f"NeoHookean), but is {value!r}."
                 )
 
     def energy(self, l1, l2):

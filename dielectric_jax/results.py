@@ -118,7 +118,7 @@ def check_positive(name: str, value: float, *, zero: bool = False) -> None:
 def check_whole(name: str, value, least: int, most: int, *, where: str = "") -> None:
     """Raises `ValueError` unless `value` is a whole number (Python's or NumPy's) from `least` to `most`; `where` it stands."""
     whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
-    if not (whole and least <= value <= most):
+    if not (whole and least <= int(value) <= most):
         place = f" in [{where}]" if where else ""
         raise ValueError(f"`{name}`{place} must be a whole number from {least} to {most}, but is {shown(value)}.")
 

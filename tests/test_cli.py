@@ -3,6 +3,7 @@
 The numbers are those of tests/README.md: a spectral-element Galerkin discretisation and shooting agree on them.
 """
 
+import io
 import json
 import os
 import re
@@ -167,6 +168,31 @@ def test_help_and_version_succeed(capsys, argv):
         main(argv)
     assert stop.value.code == 0
     assert "dielectric-jax" in capsys.readouterr().out
+
+
+UNITS = {"ascii": "sqrt(u/epsilon)", "latin-1": "sqrt(u/epsilon)", "cp1252": "sqrt(u/epsilon)", "utf-8": "√(μ/ε)"}
+
+
+@pytest.mark.parametrize("errors", ["strict", "surrogateescape", "backslashreplace"])
+@pytest.mark.parametrize("encoding", [*UNITS, "cp437", "cp850", "cp1251", "gbk"])
+def test_streams_that_lack_characters_are_readable(monkeypatch, encoding, errors):
+    """As with PYTHONIOENCODING, a code page of Windows, or LC_ALL=C: what the encoding lacks is spelled out."""
+    raw = {name: io.BytesIO() for name in ("stdout", "stderr")}
+    for name, buffer in raw.items():
+        monkeypatch.setattr(sys, name, io.TextIOWrapper(buffer, encoding=encoding, errors=errors))
+    for command in ("equilibrium", "voltage-volume", "sweep", "calibrate", "paper"):
+        with pytest.raises(SystemExit):
+            main([command, "--help"])
+    assert main(["equilibrium", "--volume", "1", "--breakdown", "ψ\udcff"]) == 2
+    said = {}
+    for name, buffer in raw.items():
+        stream = getattr(sys, name)
+        assert stream.errors == errors  # as it was
+        stream.flush()
+        said[name] = buffer.getvalue().decode(encoding)
+    text = said["stdout"] + said["stderr"]
+    assert "?" not in text and "\\u" not in text.replace("\\udcff", "")
+    assert f"in units of {UNITS.get(encoding, '')}" in said["stderr"] and "dielectric-jax sweep" in said["stdout"]
 
 
 def test_bad_input_of_the_program_itself():

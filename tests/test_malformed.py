@@ -60,6 +60,7 @@ def stopped(monkeypatch, tmp_path):
         (sweeps.ZarrStore, "create"),
     ):
         monkeypatch.setattr(module, name, reach, raising=name != "calibrate")
+    monkeypatch.setattr(arguments, "_parser", functools.cache(arguments._parser))  # half of the time of a line
     monkeypatch.setenv("DIELECTRIC_JAX_CACHE", "off")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "data.csv").write_text("volume,pressure\n0.5,1.0\n1.0,1.4\n2.0,1.8\n")

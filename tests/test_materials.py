@@ -2,6 +2,7 @@
 
 import functools
 import math
+from fractions import Fraction
 
 import jax
 import jax.numpy as jnp
@@ -29,6 +30,8 @@ CUSTOM = {
     "mooney": dj.CustomMaterial(mooney, largest_stretch=8.0),
     "ogden": dj.CustomMaterial(ogden, largest_stretch=5.0),
 }
+
+CHAIN = dj.Scene(dj.Membrane(dj.ArrudaBoyce()), dj.ConstantPressure(1.0))
 
 energies = jax.jit(lambda material, l1, l2: material.energy(l1, l2))
 four = jax.jit(dj.stresses)
@@ -266,6 +269,22 @@ def test_lock_up_stretch_of_the_window():
     assert CUSTOM["mooney"].lock_up_stretch(1.0) == (8.0, False)
 
 
+@given(st.floats(math.log(1e-6), math.log(1e15)))
+def test_every_lock_up_stretch_is_the_root_of_its_limit(log_limit):
+    """In J and n alike; 2λ² + λ⁻⁴ − 3 = (λ² − 1)² (2λ² + 1)/λ⁴, in rationals, where nothing cancels."""
+    limit = math.exp(log_limit)
+    links = limit + 0.995**-2 * (1 + 1e-6)
+    for stretch, value in (
+        (dj.Gent(stretch_limit=limit).lock_up_stretch(1.0)[0], 0.99 * limit),
+        (dj.ArrudaBoyce(chain_links=links).lock_up_stretch(1.0)[0], 3 * (links * 0.995**2 - 1)),
+    ):
+        u = Fraction(stretch) ** 2
+        slope = float(2 * (u - 1) * (u * u + u + 1) / u**3)
+        wrong = float((u - 1) ** 2 * (2 * u + 1) / u**2 - Fraction(value))
+        # two roundings of λ, and those of 1 + d and of the products in `value`
+        assert stretch > 1 and abs(wrong) < 4e-16 * (2 * stretch**2 * slope) + 4e-16 * (value + 3)
+
+
 def test_vhb_breakdown():
     law = dj.VHBBreakdown()
     assert float(law.field(1.0)) == pytest.approx(30.6 / FIELD_UNIT, rel=1e-12)
@@ -299,6 +318,11 @@ def test_a_user_s_breakdown_law():
         (lambda: dj.Gent(stretch_limit=float("nan")), "stretch_limit"),
         (lambda: dj.Gent(stretch_limit=float("inf")), "stretch_limit"),
         (lambda: dj.ArrudaBoyce(chain_links=1.0), "chain_links"),
+        # ρ = 0.995 is reached without stretch at n = 0.995⁻² = 1.0100755: a shorter chain leaves no window
+        *((lambda n=n: dj.ArrudaBoyce(chain_links=n), "chain_links") for n in (1.001, 1.01, 1.01007, 1.1e15, 1e308)),
+        (lambda: CHAIN.replace(chain_links=1.005), "chain_links"),
+        *((lambda j=j: dj.Gent(stretch_limit=j), "stretch_limit") for j in (5e-324, 1e-7, 1.1e15, 1e308)),
+        (lambda: dj.Membrane(dj.NeoHookean(), prestretch=1e200), "prestretch"),
         (lambda: dj.ArrudaBoyce(chain_links=float("inf")), "chain_links"),
         (lambda: dj.ArrudaBoyce(chain_links=float("nan")), "chain_links"),
         (lambda: dj.CustomMaterial(mooney, largest_stretch=-1.0), "largest_stretch"),
