@@ -7,6 +7,7 @@ doi 10.1016/j.jmps.2012.09.006).
 """
 
 import dataclasses
+import math
 import typing
 from collections.abc import Callable, Mapping
 
@@ -77,7 +78,12 @@ def is_concrete(value) -> bool:
 
 def as_scalar(value: Scalar):
     """A float64 scalar, or the tracer that stands for one."""
-    return jnp.asarray(value, dtype=float) if not is_concrete(value) else np.asarray(value, dtype=np.float64)
+    if not is_concrete(value):
+        return jnp.asarray(value, dtype=float)
+    try:
+        return np.asarray(value, dtype=np.float64)
+    except OverflowError:  # an integer beyond floats, which checks refuse as they refuse infinity
+        return np.asarray(math.inf if value > 0 else -math.inf)
 
 
 class Units(eqx.Module):

@@ -68,7 +68,7 @@ def test_every_kind_of_axis(tmp_path):
         ("speed = 3", "`speed`"),
         ("block = 2.5", "`block`"),
         ("curves = 1", "`curves`"),
-        ("[scene]\nmaterial = 'rubber'", "`material` must be one of gent"),
+        ("[scene]\nmaterial = 'rubber'", "`material` in [scene] must be one of gent"),
         ("[scene]\nchamber_size = 3", "`chamber_size` in [scene]"),
         ("[scene]\nchamber_volume = 'big'", "`chamber_volume` in [scene] must be a number"),
         ("[scene]\nprestretch = 1.5", "`pressure` or `chamber_volume`"),
@@ -88,6 +88,27 @@ def test_every_kind_of_axis(tmp_path):
             "`standard_deviation`",
         ),
         ("[scene]\npressure = 1.0\n[table.a]\nfile = 'none.csv'", "none.csv"),
+        *(
+            (
+                f"[scene]\npressure = 1.0\n[samples.a]\ncount = 2\nseed = {seed}\nprestretch = {{from = 1, to = 2}}",
+                "`seed`",
+            )
+            for seed in ("nan", "inf", "-1", "1.0", "true", "'1'")
+        ),
+        *(
+            (f"[scene]\npressure = 1.0\n[{where}]\n{line}", "`count`")
+            for where, line in (
+                ("product", "prestretch = {from = 1, to = 2, count = 1000000000000}"),
+                ("product", "prestretch = {from = 1, to = 2, count = true}"),
+                ("samples.a", "count = 1000000000000\nprestretch = {from = 1, to = 2}"),
+                ("samples.a", "count = true\nprestretch = {from = 1, to = 2}"),
+            )
+        ),
+        (f"[scene]\npressure = {10**400}", "`pressure` in [scene] must be finite and at most 1e+50 in size"),
+        (f"[scene]\npressure = 1.0\nstretch_window = [1, {10**400}]", "`stretch_window` in [scene]"),
+        (f"[scene]\npressure = {'9' * 5000}", "`SPEC` must be a file of TOML"),
+        ("[scene]\nmaterial = ['gent']\npressure = 1.0", "`material` in [scene] must be one of gent"),
+        ("x = " + "[" * 5000, "`SPEC` must be a file of TOML"),
         ("[scene]\npressure = 1.0\n[product]\nprestretch = 2", "`prestretch` must be a table"),
     ],
 )
@@ -113,3 +134,52 @@ def test_constants_in_si_vary(tmp_path):
     softer = dj.Scene(dj.Membrane(), dj.Chamber(volume=1600.0, initial_volume=2.42, atmospheric_pressure=50 * 45 / 40))
     assert abs(float(data.snap_voltage[0, 0]) / float(dj.snap_voltage(softer)) - 1) < 1e-9
     assert abs(float(data.snap_voltage[1, 0]) / 0.0764953595449 - 1) < 1e-9
+
+
+FILM = "[units]\nshear_modulus = 45e3\nthickness = 1e-3\nradius = 22.5e-3\npermittivity = 4.16138e-11\n"
+AIR = "initial_volume = 2.42\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        # the paper's chamber in m³ and Pa: 18.2 L and 27.5 ml of air at 100 kPa
+        (FILM + "[scene]\ninitial_volume = 27.5e-6\natmospheric_pressure = 100e3\n[product]\nchamber_volume = [18e-3]", "`chamber_volume` .* would be 1580"),
+        (FILM + "[scene]\nchamber_volume = 18e-3\ninitial_volume = 2.42", "`chamber_volume` .* would be 1580"),
+        (FILM + "[scene]\nchamber_volume = 1600\ninitial_volume = 27.565e-6", "`initial_volume` .* m³ would be 2.41997"),
+        (FILM + "[scene]\nchamber_volume = 1600\ninitial_pressure = 3773", "`initial_pressure` .* Pa would be 1.8865"),
+        (FILM + "[scene]\npressure = 3773\n[product]\nthickness = [1e-3]", "`pressure` .* would be 1.8865"),
+        (FILM + "[scene]\npressure = 1.5\nbreakdown = 218e6", "`breakdown` .* V/m would be 6.6293"),
+        (FILM + f"[scene]\n{AIR}[samples.a]\ncount = 4\nchamber_volume = {{from = 9e-3, to = 45e-3}}", "`chamber_volume`"),
+        # without units two quantities must look so
+        ("[scene]\nchamber_volume = 18e-3\ninitial_volume = 27.5e-6\natmospheric_pressure = 100e3", "looks like SI"),
+        # a pressure counted in the units of films of several thicknesses: whose?
+        (FILM + "[scene]\npressure = 1.0\n[product]\nthickness = [1e-3, 2e-3]\npressure = [1.0]", "`pressure` must not vary .* `thickness`"),
+        (FILM + f"[scene]\n{AIR}[product]\nradius = [1e-2, 2e-2]\nchamber_volume = [800, 1600]", "`chamber_volume` must not vary"),
+    ],
+)  # fmt: skip
+def test_numbers_in_si_are_refused_not_misread(tmp_path, text, said):
+    (tmp_path / "s.toml").write_text(text)
+    with pytest.raises(ValueError, match=said):
+        dj.read_specification(tmp_path / "s.toml")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        FILM + f"[scene]\n{AIR}[product]\nchamber_volume = [1600.0]\nthickness = [0.5e-3, 1e-3, 2e-3]",
+        f"[scene]\nchamber_volume = 0.02\n{AIR}atmospheric_pressure = 0",
+        "[scene]\npressure = 1e-5",
+    ],
+)
+def test_dimensionless_numbers_are_read(tmp_path, text):
+    (tmp_path / "s.toml").write_text(text)
+    assert isinstance(dj.read_specification(tmp_path / "s.toml")[0], dj.Scene)
+
+
+def test_ranges_of_designs_in_si_are_refused_too(tmp_path):
+    from dielectric_jax.design_files import read_design_file
+
+    (tmp_path / "s.toml").write_text(FILM + f"[scene]\n{AIR}[over]\nchamber_volume = [9e-3, 45e-3]")
+    with pytest.raises(ValueError, match="`chamber_volume` must be dimensionless"):
+        read_design_file(str(tmp_path / "s.toml"), "optimise")

@@ -138,6 +138,32 @@ def test_an_error_in_a_block_is_that_of_its_scene(monkeypatch):
     assert np.isfinite(data.breakdown_voltage.values[2:]).all() and np.isnan(data.breakdown_voltage.values[1])
 
 
+def test_blocks_depend_on_the_sweep_alone():
+    """On its engine, what it keeps, and its count: two runs of one sweep lay their stores out alike."""
+    from dielectric_jax.workers import Job, block_size
+
+    counts = 1, 500, 10_000, 131_072, 10**7
+    for job, expected in (
+        (Job(SCENE, "surface"), [256, 256, 512, 8192, 8192]),
+        (Job(SCENE, "surface", resolve=True), [256, 256, 512, 1024, 1024]),
+        (Job(SCENE, "surface", curves=True), [256, 256, 512, 1024, 1024]),
+        (Job(SCENE, "continuation"), [32, 32, 128, 128, 128]),
+    ):
+        assert [block_size(job, count) for count in counts] == expected
+
+
+def test_sweeps_that_nothing_can_hold_are_refused():
+    """A hundred million million scenes: in memory, as blocks of one, and with a name that the dataset has already."""
+    chambers, fillings = np.linspace(300.0, 25000.0, 10**6), np.linspace(1.5, 2.9, 10**6)
+    with pytest.raises(ValueError, match="`output` must name a store for 1000000000000 scenes"):
+        dj.sweep(SCENE, chamber_volume=chambers, initial_volume=fillings, block=2**30)
+    with pytest.raises(ValueError, match="`block` must be larger"):
+        dj.sweep(SCENE, chamber_volume=chambers, initial_volume=[2.0, 2.4], block=1)
+    for name in ("jump", "outcome", "block", "snap_voltage"):
+        with pytest.raises(ValueError, match=f"`{name}` must not be the name of an axis"):
+            dj.sweep(SCENE, dj.zipped(name, chamber_volume=[800.0, 1600.0]))
+
+
 def test_the_surfaces_of_a_family_are_used_from_nine_prestretches_on():
     from dielectric_jax.axes import Design, axes_of
     from dielectric_jax.sweeps import _job
