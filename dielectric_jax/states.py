@@ -12,10 +12,10 @@ from .branches import cached_scan
 from .chart import map_nodes, stretch_shares
 from .equilibria import Points, polish
 from .loading import Chamber, ConstantPressure, ConstantVoltage, PrescribedVolume, mechanical
-from .materials import capacitance, is_concrete, largest_load
+from .materials import as_scalar, capacitance, is_concrete, largest_load
 from .membrane import Membrane, require_float64
 from .records import State, voltage_of
-from .results import Code, SceneError, check_positive
+from .results import Code, SceneError, check_positive, shown
 from .scene import Scene, Window
 from .shooting import MOST_STEPS
 from .surface import Surface
@@ -32,8 +32,8 @@ _NEAR_EXTREME = 1e-6  # of log p or log V: nearer to an extreme of a line the tw
 def check_request(points: int, tolerance: float) -> None:
     if not (isinstance(points, int) and 8 <= points <= 100_000):
         raise ValueError(f"`points` must be a whole number from 8 to 100000, but is {points!r}.")
-    if not (math.isfinite(tolerance) and 1e-12 <= tolerance <= 1e-3):
-        raise ValueError(f"`tolerance` must lie between 1e-12 and 0.001, but is {tolerance!r}.")
+    if not 1e-12 <= tolerance <= 1e-3:
+        raise ValueError(f"`tolerance` must lie between 1e-12 and 0.001, but is {shown(tolerance)}.")
     require_float64()
 
 
@@ -209,9 +209,9 @@ def equilibrium(
             f"`pressure`, `volume` or `apex_stretch` must be given, one of the three, but {len(given)} are."
         )
     ((name, wanted),) = given.items()
-    wanted = float(wanted)
+    wanted, voltage = float(as_scalar(wanted)), float(as_scalar(voltage))
     check_positive(name, wanted, zero=name != "apex_stretch")
-    check_positive("voltage", float(voltage), zero=True)
+    check_positive("voltage", voltage, zero=True)
     scene = Scene(membrane, ConstantVoltage(voltage), window or Window())
     check_concrete(scene)
     limits = scene.limits()
@@ -222,10 +222,10 @@ def equilibrium(
             f"{limits[0][1]:.6g}, but is {wanted!r}."
         )
     if (name == "apex_stretch" and wanted == prestretch) or wanted == 0:
-        return _flat_equilibrium(membrane, float(voltage), all)
+        return _flat_equilibrium(membrane, voltage, all)
     contour = scene.loading.contour()
     check_surface(surface, membrane)
-    found, extremes = _starts(membrane, float(voltage) ** 2, name, wanted, limits, surface)
+    found, extremes = _starts(membrane, voltage**2, name, wanted, limits, surface)
     met = [_beside_extreme(membrane, contour, extreme, name, wanted, tolerance) for extreme in extremes]
     if found.size:
         rows = {"apex_stretch": [1.0, 0, 0], "pressure": [0, 1.0, 0], "volume": [np.nan] * 3}[name]
@@ -245,7 +245,7 @@ def equilibrium(
     if not states:
         if name == "volume":
             check_reachable(membrane, wanted)
-        flat = too_flat(membrane, name, wanted, float(voltage) ** 2)
+        flat = too_flat(membrane, name, wanted, voltage**2)
         raise SceneError(Code.near_flat if flat else Code.beyond_tolerance if vague else Code.no_equilibrium)
     states.sort(key=lambda s: s.volume)
     return states if all else states[0]
@@ -394,7 +394,7 @@ def _starts(membrane, q, name, wanted, limits, surface=None) -> tuple[np.ndarray
     if value[0] > 0 and rows[0] == 0:
         # below the first node: p and V are powers of λa − λ0 at the flat end
         rise = np.log((apex[1] - prestretch) / (apex[0] - prestretch)) / (value[1] - value[0])
-        fall = math.exp(-value[0] * rise)
+        fall = -value[0] * rise
         slope = (logs[1] - logs[0]) / np.log((apex[1] - prestretch) / (apex[0] - prestretch))
-        out.append([prestretch + (apex[0] - prestretch) * fall, math.exp(logs[0] + slope * math.log(fall)), q])
+        out.append([prestretch + (apex[0] - prestretch) * math.exp(fall), math.exp(logs[0] + slope * fall), q])
     return (np.array(out).T if out else np.zeros((3, 0))), extremes
