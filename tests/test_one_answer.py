@@ -54,8 +54,13 @@ KNOWN = {
     ),
     "a stiff chamber filled past the peak": (
         FILM,
-        [dj.Chamber(0.02, initial_volume=v) for v in (3.3, 3.8)],
+        [dj.Chamber(0.02, initial_volume=3.3)],
         "no_landing",
+    ),
+    "a stiff chamber filled past the peak, whose snap ends beyond a gap of the window": (
+        FILM,
+        [dj.Chamber(0.02, initial_volume=3.8)],
+        "breaks_in_snap",
     ),
 }
 
