@@ -138,7 +138,7 @@ class CoarseChart:
         return float(landing), float(reached)
 
 
-@functools.lru_cache(maxsize=64)
+@functools.lru_cache(maxsize=16)  # 10 MB each
 def coarse_chart(key: ByLeaves) -> CoarseChart:
     """The chart of a membrane."""
     membrane = key.membrane
@@ -154,7 +154,7 @@ def coarse_chart(key: ByLeaves) -> CoarseChart:
     with np.errstate(invalid="ignore"):
         good = (slope < 0) & (p > 0) & (p < _PRESSURE) & (v > 0) & (v < 4.2 * high**3)
     p, v = (np.where(good, values, np.nan).reshape(grid[0].shape) for values in (p, v))
-    limit = np.asarray(largest_load(membrane.material, apex))
+    limit = largest_load(membrane.material, apex)
     breaks = 1 / np.asarray(field_ratio_squared(membrane.breakdown, apex, apex))
     # splines in the variables in which the nodes are even
     place, depth = np.sqrt((apex - rim) / (high - rim)), -np.sqrt(1 - fraction)
@@ -162,7 +162,7 @@ def coarse_chart(key: ByLeaves) -> CoarseChart:
     line = np.linspace(apex[0], apex[-1], _LINE)
     even = np.linspace(-_ROOT, -np.sqrt(1 - _TOP), _FINE), np.sqrt((line - rim) / (high - rim))
     fine = tuple(RectBivariateSpline(place, depth, f)(even[1], even[0]) for f in whole)
-    limits = line, np.asarray(largest_load(membrane.material, line))
+    limits = line, largest_load(membrane.material, line)
     return CoarseChart(membrane, apex, fraction, limit, p, v, breaks, limits, fine)
 
 
