@@ -195,7 +195,7 @@ def regimes(scene, random):
 
 def map_of(scene, random):
     over = {"chamber_volume": (100.0, 25000.0), "initial_volume": (0.5, 2.9)}
-    chamber = dj.Scene(chamber.membrane, dj.Chamber(volume=100.0, initial_volume=1.0))
+    chamber = dj.Scene(scene.membrane, dj.Chamber(volume=100.0, initial_volume=1.0))
     dj.regime_map(chamber, over, points=(12, 12))
 
 
