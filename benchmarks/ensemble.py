@@ -27,7 +27,7 @@ ALLOWED = 1e-8
 REASONS = {
     Outcome.breakdown_on_branch: ("breakdown on the branch",),
     Outcome.breakdown_in_snap: ("breakdown in the snap",),
-    Outcome.no_unbroken_landing: ("no landing", "breakdown in the snap"),
+    Outcome.no_landing: ("no landing",),
     Outcome.start_unstable: ("start_unstable",),
 }
 
@@ -48,10 +48,10 @@ def pairs_of(ramps, i: int, diagram):
     up, survived = ramp.events, outcome is Outcome.breakdown_on_branch
     down = diagram.ramp("down").events if survived and ramp["breakdown"] else ()
     seen = {name: [e.state for e in up if e.event == name] for name in ("snap", "landing", "breakdown")}
-    if outcome is Outcome.no_unbroken_landing:
-        seen["landing"] = seen["breakdown"] = []
     if outcome is Outcome.breakdown_in_snap:
         seen["breakdown"] = []
+        if not np.isfinite(ramps.landing.volume[i]).any():  # beyond the surface: there, but not located
+            seen["landing"] = []
     seen["snap_back"] = [e.state for e in down if e.event == "snap_back"]
     seen["landing_back"] = [e.state for e in down if e.event == "landing"]
     if outcome is not Outcome.start_unstable:
@@ -136,13 +136,11 @@ def agree(ramps, i: int, others, j: int) -> tuple[bool, float]:
     The places of folds are vague in lanes, which say so in their error: volumes may differ by ten times that.
     """
     outcome, other = Outcome(int(ramps.outcome[i])), Outcome(int(others.outcome[j]))
-    if other is Outcome.unresolved or (
-        REASONS[outcome] != REASONS[other] and REASONS[other][0] not in REASONS[outcome]
-    ):
+    if other is not outcome:
         return False, np.inf
     worst, alike = 0.0, True
     names = ["snap", "landing", "breakdown", "snap_back", "landing_back"]
-    if outcome is Outcome.no_unbroken_landing:
+    if outcome is Outcome.breakdown_in_snap and not np.isfinite(ramps.landing.volume[i]).any():
         names = ["snap"]
     if outcome is Outcome.start_unstable:
         names = []

@@ -29,9 +29,9 @@ _ROOMS = {
     "chart": ("explicit_map",),
     "continuation": ("Problem", "Steps", "Trace", "trace"),
     "surface": ("SheetState", "Surface"),
+    "outcomes": ("FoldAhead", "Outcome", "Regime"),
     "ensemble": (
         "Curves",
-        "Outcome",
         "Point",
         "Ramps",
         "chamber_curves",
@@ -78,7 +78,7 @@ _ROOMS = {
         "pressure_valley",
         "zero_voltage_point",
     ),
-    "regimes": ("Regime", "regime_of"),
+    "regimes": ("regime_of",),
     "designs": ("Designs", "classify_designs"),
     "regime_maps": ("Boundary", "RegimeEdge", "RegimeMap", "regime_edges", "regime_map"),
     "regime_plots": ("plot_fold_curves", "plot_regime_map"),
@@ -120,7 +120,6 @@ if typing.TYPE_CHECKING:
     from .elastomers import CustomPermittivity, Electrostrictive, MooneyRivlin, Ogden
     from .ensemble import (
         Curves,
-        Outcome,
         Point,
         Ramps,
         chamber_curves,
@@ -147,6 +146,7 @@ if typing.TYPE_CHECKING:
     from .measurements import read_measurement
     from .membrane import Membrane, Profile, vhb_4910
     from .objectives import Optimum, maximise
+    from .outcomes import FoldAhead, Outcome, Regime
     from .paper import reproduce
     from .paper_statements import Statement
     from .plotting import plot_chamber, plot_diagram, plot_pressure_volume, plot_voltage_volume
@@ -156,7 +156,7 @@ if typing.TYPE_CHECKING:
     from .records import Branch, Event, Ramp, SpecialPoint, State
     from .regime_maps import Boundary, RegimeEdge, RegimeMap, regime_edges, regime_map
     from .regime_plots import plot_fold_curves, plot_regime_map
-    from .regimes import Regime, regime_of
+    from .regimes import regime_of
     from .results import Code, SceneError
     from .scene import PARAMETERS, Scene, Window, describe
     from .shooting import shoot

@@ -1,14 +1,16 @@
 """From traced lines of many scenes to their special points and ramps."""
 
 import dataclasses
+import typing
 
 import numpy as np
 
 from .crowd import Crowd, Met
-from .ensemble import Outcome
 from .equilibria import SCALE
 from .lanes import BREAKDOWN, LEVEL
+from .outcomes import FoldAhead, Outcome
 from .polylines import Places, Polylines
+from .scene import SCANNED_LOAD
 
 __all__ = ["Assembly", "Events", "assemble", "tell_ramps"]
 
@@ -45,8 +47,8 @@ def _meet_places(crowd: Crowd, owner, lines: Polylines, places: Places, targets,
     return met._replace(tangent=met.tangent * sign[:, None], volume_rate=met.volume_rate * sign)
 
 
-def _exact(crowd: Crowd, owner, lines: Polylines, which: np.ndarray, tolerance: float) -> np.ndarray:
-    """Makes every point of the lines `which` exact, in place; which of them that failed for."""
+def _exact(crowd: Crowd, owner, lines: Polylines, which: np.ndarray, tolerance: float):
+    """Makes every point of the lines `which` exact, in place; the lines and points where that failed."""
     line, point = np.nonzero(np.isfinite(lines.points[which, :, 0]))
     line = which[line]
     at, way = lines.points[line, point], lines.tangents[line, point]
@@ -58,16 +60,18 @@ def _exact(crowd: Crowd, owner, lines: Polylines, which: np.ndarray, tolerance: 
     good = met.ok
     lines.points[line[good], point[good]] = met.u[good] / SCALE
     lines.tangents[line[good], point[good]] = met.tangent[good] * sign[good, None]
-    return np.unique(line[~good])
+    return line[~good], point[~good]
 
 
 def _find_folds(crowd: Crowd, owner, lines: Polylines, tolerance: float):
-    """The lines with points between which q turns once or not at all, those turns as exact folds, and lines in doubt.
+    """The lines with points between which q turns once or not at all, those turns as exact folds, and up to where.
+
+    The last are positions (lines,) beyond which a fold may be missing, infinite where there is no doubt.
 
     Where an interpolant hides a pair of turns, or a turn is not met, the points of the line are made exact first, which
     traced points are not, and then more are put where its slope dips towards zero.
     """
-    doubt = np.zeros(len(owner), bool)
+    sure = np.full(len(owner), np.inf)
     inexact = np.ones(len(owner), bool)
     done = Met.nothing(0), Places(np.zeros(0, int), np.zeros(0, int), np.zeros(0))
     todo = np.arange(len(owner))
@@ -91,7 +95,8 @@ def _find_folds(crowd: Crowd, owner, lines: Polylines, tolerance: float):
         todo = again
         fresh = again[inexact[again]]
         if len(fresh):
-            doubt[_exact(crowd, owner, lines, fresh, tolerance)] = True
+            failed, point = _exact(crowd, owner, lines, fresh, tolerance)
+            np.minimum.at(sure, failed, point - 1.0)
             inexact[fresh] = False
             continue
         more = [p.take(np.isin(p.line, again)) for p in (turns.take(~met.ok), dips)]
@@ -102,11 +107,33 @@ def _find_folds(crowd: Crowd, owner, lines: Polylines, tolerance: float):
         ok = np.flatnonzero(found.ok)
         lines, moved = lines.insert(middle.take(ok), found.u[ok] / SCALE, found.tangent[ok])
         done[1].interval[:] = moved[done[1].line, done[1].interval]
+        sure = _moved(sure, moved)
+        lost = more.take(np.flatnonzero(~found.ok))
+        np.minimum.at(sure, lost.line, moved[lost.line, lost.interval].astype(float))
     else:
-        doubt[todo] = True
+        # what was not settled on the last lines
+        turns, dips = (p.take(np.isin(p.line, todo)) for p in lines.turns(2))
+        open_ = dips.take(np.flatnonzero(~_harmless(lines, dips, inexact)))
+        kept = set(zip(done[1].line.tolist(), done[1].interval.tolist(), strict=True))
+        rest = [
+            k
+            for k, (i, j) in enumerate(zip(turns.line.tolist(), turns.interval.tolist(), strict=True))
+            if (i, j) not in kept
+        ]
+        for places in (open_, turns.take(np.array(rest, int))):
+            np.minimum.at(sure, places.line, places.interval.astype(float))
     met, places = done
     order = np.lexsort((places.position, places.line))
-    return lines, places.take(order), Met(*(v[order] for v in met)), doubt
+    return lines, places.take(order), Met(*(v[order] for v in met)), sure
+
+
+def _moved(position: np.ndarray, moved: np.ndarray) -> np.ndarray:
+    """Positions (lines,) after the points of the lines have moved to other places."""
+    known = np.flatnonzero(np.isfinite(position))
+    old = np.clip(position[known].astype(int), 0, moved.shape[1] - 1)
+    out = position.copy()
+    out[known] = moved[known, old]
+    return out
 
 
 def _harmless(lines: Polylines, dips: Places, inexact: np.ndarray) -> np.ndarray:
@@ -119,8 +146,9 @@ def _harmless(lines: Polylines, dips: Places, inexact: np.ndarray) -> np.ndarray
 
 def assemble(crowd: Crowd, owner: np.ndarray, lines: Polylines, tolerance: float) -> "Assembly":
     """The folds of q among the points of the lines, and their other events."""
-    lines, places, met, doubt = _find_folds(crowd, owner, lines, tolerance)
+    lines, places, met, sure = _find_folds(crowd, owner, lines, tolerance)
     lines, moved = lines.insert(places, met.u / SCALE, met.tangent)
+    sure = _moved(sure, moved)
     position = moved[places.line, places.interval] + 1.0
     folds = Events(places.line, position, met, np.full(len(places), -1))
 
@@ -153,7 +181,7 @@ def assemble(crowd: Crowd, owner: np.ndarray, lines: Polylines, tolerance: float
     places = Places(*(np.concatenate([getattr(p, n) for p in found]) for n in ("line", "interval", "share")))
     sets, belongs = np.concatenate(sets), np.concatenate(belongs)
     met = _meet_places(crowd, owner, lines, places, np.concatenate(targets), np.concatenate(kinds), tolerance)
-    doubt[places.line[~met.ok]] = True
+    np.minimum.at(sure, places.line[~met.ok], places.interval[~met.ok].astype(float))
     # the load of a crossing is as wrong as its fold's, and where q hardly changes along the branch the place is vague
     vague = np.maximum(np.abs(met.u[:, 2]), 1e-3) * met.error
     crossing = sets == 2
@@ -169,25 +197,24 @@ def assemble(crowd: Crowd, owner: np.ndarray, lines: Polylines, tolerance: float
     events = Events(places.line, places.interval + np.clip(share, 0.0, 1.0), met, belongs)
     kept = [events.take(np.flatnonzero(met.ok & (sets == k))) for k in range(3)]
     kept[0].met.u[:, 2] = 0.0
-    return Assembly(lines, folds, kept[0], kept[1], kept[2], doubt)
+    return Assembly(lines, folds, kept[0], kept[1], kept[2], sure)
 
 
 @dataclasses.dataclass
 class Assembly:
-    """Lines with their folds among the points, their events, and lines on which something may have been missed."""
+    """Lines with their folds among the points, their events, and the positions beyond which something may be missing."""
 
     lines: Polylines
     folds: Events
     zeros: Events
     breaks: Events
     crossings: Events
-    doubt: np.ndarray
+    sure: np.ndarray
 
 
 _EVENTS = 11  # start, two snaps, two landings, breakdown, two snap-backs and their two landings, rest
 _SNAPS = 2
 _AMBIGUOUS = 1e-6  # a landing this near to breakdown is not told
-_SWING = 0.5  # of the first swing: by so much do all later ones stay below it
 _SPECIAL = (6, 5, 3)  # folds, zeros, breakdowns that are told
 
 
@@ -227,13 +254,19 @@ class _Lists:
 
 
 class _Ramp:
-    """The way up and down of one scene over the events of its lines."""
+    """The way up and down of one scene over the events of its lines.
 
-    def __init__(self, of: Assembly, lists: _Lists, main: int, breakdown_load, cone: bool):
-        self.of, self.lists, self.breakdown_load = of, lists, breakdown_load
-        self.main, self.cone = main, cone
+    `limits` are those of the membrane at the crossings, see `Crowd.limits`; `ends_in` is the fold of the last snap.
+    """
+
+    def __init__(self, of: Assembly, lists: _Lists, main: int, limits: np.ndarray):
+        self.of, self.lists, self.limits = of, lists, limits
+        self.main = main
         self.told = np.full((5, _EVENTS), np.nan)
         self.snaps = 0
+        self.broken_at: int | None = None
+        self.last = 0.0  # position of the last event of the way up on the first line
+        self.returns = False  # whether the way down was followed
 
     def next(self, kind: str, line: int, position: float, side: int):
         """The next event of a kind along a line, or None: its index."""
@@ -252,25 +285,19 @@ class _Ramp:
         found = [
             (way * (crossings.met.volume[i] - met.volume[fold]), i)
             for i in self.lists.of_fold.get(fold, ())
-            if crossings.met.index[i] == 0
+            if crossings.met.index[i] == 0 and crossings.met.u[i, 2] <= SCANNED_LOAD * self.limits[2, i]
         ]
         found = [f for f in found if f[0] > 0]
         return min(found)[1] if found else None
 
-    def calms_below(self, line: int, fold: int, side: int) -> bool:
-        """Whether the line, which ends near the cone, no longer swings up to the load of a fold.
+    def is_sure(self) -> bool:
+        """Whether nothing that the ramp says depends on a part of a line where an event may be missing.
 
-        Towards the cone q swings about a limit, each swing a small share of the one before.
+        Where it breaks down, or snaps to no landing on its own lines, only the way to there counts.
         """
-        folds, load = self.of.folds, self.of.folds.met.u[fold, 2]
-        further = [
-            i for i in self.lists.on_line["folds"][line] if side * (folds.position[i] - folds.position[fold]) > 0
-        ]
-        if not self.cone or not further:
-            return False
-        loads = folds.met.u[further, 2]
-        last = self.of.lines.points[line, self.of.lines.count[line] - 1, 2] * SCALE[2]
-        return max(loads.max(), last) < load - _SWING * (load - loads.min())
+        if self.snaps > 1 or self.returns:
+            return bool(np.isinf(self.of.sure[self.main]))
+        return self.last < self.of.sure[self.main]
 
     def tell(self, column: int, kind: str, i: int) -> None:
         self.told[:, column] = self.lists.values[kind][i]
@@ -285,16 +312,19 @@ class _Ramp:
             at = [side * e.position[i] if i is not None else np.inf for e, i in ((of.folds, fold), (of.breaks, broken))]
             if broken is not None and at[1] < at[0]:
                 self.tell(5, "breaks", broken)
+                self.broken_at = broken
+                self.last = max(self.last, float(of.breaks.position[broken]))
                 return self.down(line, position, side)
             if stage == _SNAPS or fold is None:
                 return Outcome.unresolved
             self.tell(1 + stage, "folds", fold)
             self.snaps += 1
+            self.last = max(self.last, float(of.folds.position[fold]))
             landing = self.land(fold, side)
             if landing is None:
-                return Outcome.no_unbroken_landing if self.calms_below(line, fold, side) else Outcome.unresolved
+                return Outcome.no_landing  # on this line
             self.tell(3 + stage, "crossings", landing)
-            load, limit = of.folds.met.u[fold, 2], self.breakdown_load(landing)
+            load, limit = of.folds.met.u[fold, 2], self.limits[0, landing]
             if abs(load - limit) <= _AMBIGUOUS * limit:
                 return Outcome.unresolved
             if load >= limit:
@@ -309,6 +339,7 @@ class _Ramp:
         if not self.snaps:
             self.told[:, 10] = self.told[:, 0]
             return Outcome.breakdown_on_branch
+        self.returns = True
         for stage in range(_SNAPS + 1):
             fold, zero = self.next("folds", line, position, -side), self.next("zeros", line, position, -side)
             at = [-side * e.position[i] if i is not None else np.inf for e, i in ((of.folds, fold), (of.zeros, zero))]
@@ -329,31 +360,58 @@ class _Ramp:
             side = 1 if of.crossings.met.tangent[landing, 2] > 0 else -1
         return Outcome.unresolved
 
+    def fold_ahead(self, fractions: np.ndarray, left: bool) -> FoldAhead:
+        """Whether the line of a ramp that breaks without a snap has a fold further on, in the scanned window."""
+        if self.broken_at is None or self.snaps:
+            return FoldAhead.unknown
+        fold = self.next("folds", self.main, float(self.of.breaks.position[self.broken_at]), 1)
+        reached = np.inf if fold is None else float(self.of.folds.position[fold])
+        if not (reached < self.of.sure[self.main] or np.isinf(self.of.sure[self.main])):
+            return FoldAhead.unknown
+        if fold is None:
+            return FoldAhead.none if left else FoldAhead.unknown
+        return FoldAhead.fold if fractions[fold] <= SCANNED_LOAD else FoldAhead.none
 
-def tell_ramps(of: Assembly, start: Met, breakdown_loads: np.ndarray, complete, alone, cone):
-    """Columns of `ensemble.ramps_of` for scenes whose branch from the start is line 0, 1, …
 
-    `breakdown_loads` are q_b at the crossings, `complete` says of which scenes the line is known, `alone` where no other
-    branch lies below breakdown, `cone` whose line ends near the cone.
+class Told(typing.NamedTuple):
+    """The columns of `ensemble.ramps_of` for many scenes, as far as their own lines show."""
+
+    events: np.ndarray
+    folds: np.ndarray
+    zeros: np.ndarray
+    breaks: np.ndarray
+    snaps: np.ndarray
+    outcome: np.ndarray
+    ahead: np.ndarray
+
+
+def tell_ramps(crowd: Crowd, owner: np.ndarray, of: Assembly, start: Met, left: np.ndarray) -> Told:
+    """What the lines of scenes say of their ramps; the branch from the start of scene k is line k.
+
+    `no_landing` means that no line of the scene has a landing. `left` says of which scenes the line ends where it leaves
+    the window.
     """
-    scenes, lists, begin = len(complete), _Lists(of), _values(start)
+    scenes, lists, begin = len(left), _Lists(of), _values(start)
     told = np.full((scenes, 5, _EVENTS), np.nan)
     outcome, snaps = np.full(scenes, int(Outcome.unresolved)), np.zeros(scenes, int)
+    ahead = np.full(scenes, int(FoldAhead.unknown))
     stable = start.ok & (start.index == 0)
     unstable = start.ok & ~stable
     outcome[unstable], told[unstable, :, 0] = int(Outcome.start_unstable), begin[unstable]
+    limits = crowd.limits(of.crossings.met.u[:, 0], owner[of.crossings.line])
+    fractions = of.folds.met.u[:, 2] / crowd.limits(of.folds.met.u[:, 0], owner[of.folds.line])[2]
     for k in np.flatnonzero(stable).tolist():
-        ramp = _Ramp(of, lists, k, lambda i: breakdown_loads[i], bool(cone[k]))
+        ramp = _Ramp(of, lists, k, limits)
         ramp.told[:, 0] = begin[k]
         ended = ramp.up()
-        # a state on another branch may be where a snap lands
-        if complete[k] and (alone[k] or not ramp.snaps) and ended is not Outcome.unresolved:
+        if ended is not Outcome.unresolved and ramp.is_sure():
             told[k], outcome[k], snaps[k] = ramp.told, int(ended), ramp.snaps
+            ahead[k] = int(ramp.fold_ahead(fractions, bool(left[k])))
     begin = np.where(stable[:, None], begin, np.nan)
     marks = [
         _along_lines(events, begin if events is of.zeros else None, scenes, count)
         for events, count in zip((of.folds, of.zeros, of.breaks), _SPECIAL, strict=True)
     ]
-    for mark in marks:  # of scenes that begin unstable only the start is told
+    for mark in marks:  # where the start is unstable only the start is known
         mark[~stable] = np.nan
-    return told, *marks, snaps, outcome
+    return Told(told, *marks, snaps, outcome, ahead)

@@ -15,7 +15,8 @@ import jax
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from .assembly import assemble, tell_ramps
+from .assembly import Told, assemble, tell_ramps
+from .beyond import Landing, folds_ahead, landings
 from .chart import map_nodes, stretch_shares
 from .crowd import LANES, Crowd, Met, calls, padded, pick
 from .ensemble import Ramps, ramps_of
@@ -24,10 +25,11 @@ from .lanes import LEVEL, VOLUME, march_program, new_walks
 from .loading import Chamber, ConstantPressure, ConstantVoltage, Contour
 from .membrane import Membrane
 from .other_branches import have_others
+from .outcomes import FoldAhead, Outcome
 from .polylines import Polylines
 from .programs import cores
 from .results import Code
-from .scene import Scene
+from .scene import SCANNED_LOAD, Scene
 from .states import check_request
 
 __all__ = ["Batch", "columns_of", "continue_scenes", "contour_of", "starts"]
@@ -38,6 +40,7 @@ _LINE = 40  # stretches of the line of states at zero voltage
 _TRACE_STEPS, _TOPS = (7.0, 24.0), ((0.7, 0.85), (0.82, 0.97))
 _LENGTHS = np.array([2e-5, 2.0, 1.0])
 _MOST_POINTS = 120
+_SAME = 0.02  # of λa: a landing on the line and one that the scan shows
 
 
 class Batch(typing.NamedTuple):
@@ -197,7 +200,19 @@ def starts(scenes: list[Scene], crowd: Crowd, tolerance: float) -> Met:
         source = np.repeat(np.arange(len(same)), [len(own) for own in same.values()])
         for store, values in zip(met, found, strict=True):
             store[which] = values[source]
-    return met
+    return met._replace(index=_index_under_loading(scenes, met))
+
+
+def _index_under_loading(scenes: list[Scene], met: Met) -> np.ndarray:
+    """The index of states at zero voltage under the loadings of their scenes, from that under prescribed pressure.
+
+    A gas of stiffness k takes one from it where 1 + k dV/dp < 0.
+    """
+    pressure, volume = (np.where(met.ok, v, 1.0) for v in (met.u[:, 1], met.volume))
+    stiffness = np.asarray(_contours_of(scenes, pressure, volume).gas_stiffness(volume))
+    with np.errstate(all="ignore"):
+        gain = 1 + stiffness * met.volume_rate / (met.tangent[:, 1] * SCALE[1])
+    return np.where(met.ok & (gain < 0), met.index - 1, met.index)
 
 
 def contour_of(scene: Scene, pressure: float, volume: float) -> Contour:
@@ -235,6 +250,7 @@ class _March:
         self.points, self.tangents = (np.full((lines, _MOST_POINTS, 3), np.nan) for _ in range(2))
         self.count = np.zeros(lines, int)
         self.code = np.full(lines, int(Code.not_converged))
+        self.left = np.zeros(lines, bool)  # whether the line ends where it leaves the scanned window
 
     def run(self, u: np.ndarray, headings: np.ndarray) -> None:
         """Follows every line from u (lines, 3) towards `headings`, on finer grids where a coarse one ends."""
@@ -263,6 +279,36 @@ class _March:
         # what a coarser grid met further on is not part of the line
         beyond = np.arange(_MOST_POINTS) >= self.count[:, None]
         self.points[beyond], self.tangents[beyond] = np.nan, np.nan
+
+    def go_on(self) -> None:
+        """Follows the lines that broke down before any fold further, to their next fold or out of the scanned window."""
+        held = np.arange(self.points.shape[1]) < self.count[:, None]
+        with np.errstate(invalid="ignore"):
+            rising = ((self.tangents[..., 2] > 0) | ~held).all(axis=1)
+        lanes = np.flatnonzero((self.code == int(Code.breakdown)) & rising & (self.count > 1))
+        if not len(lanes):
+            return
+        u, headings = np.full((len(self.owner), 3), np.nan), np.tile([0.0, 0.0, 1.0], (len(self.owner), 1))
+        last = self.count[lanes] - 1
+        u[lanes], headings[lanes] = self.points[lanes, last] * SCALE, self.tangents[lanes, last] * SCALE
+        self.count[lanes] -= 1
+        walk, peak = new_walks(u, headings), np.full(len(self.owner), np.inf)
+        self.code[lanes] = int(Code.ok)
+        going = lanes
+        while len(going):
+            for now in calls(going):
+                self._advance(now, walk, peak, _TRACE_STEPS[-1], np.array(_TOPS[-1]))
+            at = np.maximum(self.count[going] - 1, 0)
+            points = self.points[going, at] * SCALE
+            with np.errstate(invalid="ignore"):
+                turned = self.tangents[going, at, 2] <= 0
+                left = points[:, 2] > SCANNED_LOAD * self.crowd.limits(np.nan_to_num(points[:, 0], nan=2.0), going)[2]
+            left &= ~turned
+            out = np.isin(self.code[going], (int(Code.window_stretch), int(Code.window_load), int(Code.lock_up)))
+            self.left[going] = left | out
+            full = self.count[going] >= _MOST_POINTS - 8
+            going = going[~(turned | left | full) & (self.code[going] == int(Code.ok))]
+        self.code[lanes] = int(Code.breakdown)
 
     def _advance(self, now, walk, peak, steps, tops) -> None:
         lanes, count = padded(now), len(now)
@@ -303,27 +349,63 @@ def _block(scenes: list[Scene], tolerance: float) -> Batch:
     heading = np.tile([0.0, 0.0, 1.0], (len(scenes), 1))
     march.code[np.isnan(start.u[:, 0])] = int(Code.no_equilibrium)
     march.run(np.where(start.ok[:, None], start.u, np.nan), heading)
+    march.go_on()
     most = max(int(march.count.max()), 2)
     lines = Polylines(march.points[:, :most], march.tangents[:, :most], march.count)
     began = np.flatnonzero(start.ok & (march.count > 0))
     lines.points[began, 0] = start.u[began] / SCALE  # the traced one lies on the coarse grid
     found = assemble(crowd, march.owner, lines, tolerance)
-    cone = (march.code == int(Code.beyond_tolerance)) & (
-        lines.points[np.arange(len(scenes)), np.maximum(march.count - 1, 0), 0] < locks
-    )
-    march.code[cone] = int(Code.apex_cone)
+    last = lines.points[np.arange(len(scenes)), np.maximum(march.count - 1, 0), 0] * SCALE[0]
+    march.code[(march.code == int(Code.beyond_tolerance)) & (last < locks)] = int(Code.apex_cone)
+    told = tell_ramps(crowd, march.owner, found, start, march.left)
     ended = np.isin(march.code, (int(Code.breakdown), int(Code.apex_cone)))
-    alone = np.ones(len(scenes), bool)
     for key, own in by_membrane(scenes).items():
-        alone[own] = ~have_others(key.membrane, own, crowd, lines)
-    known = ended & ~found.doubt, alone, cone
-    at_crossings = crowd.limits(found.crossings.met.u[:, 0], march.owner[found.crossings.line])[0]
-    columns = tell_ramps(found, start, at_crossings, *known)
-    ends = lines.points[:, [0, 0], 0] * SCALE[0]
-    ends[:, 1] = lines.points[np.arange(len(scenes)), np.maximum(march.count - 1, 0), 0] * SCALE[0]
-    told, folds, zeros, breaks, snaps, outcome = columns
-    landings = told[:, 0, 3:5]
+        alone = ~have_others(key.membrane, own, crowd, lines)
+        _settle(crowd, key.membrane, own, told, ended[own], alone)
+    ends = np.stack([lines.points[:, 0, 0] * SCALE[0], last], axis=1)
+    at_landings = told.events[:, 0, 3:5]
     own = np.repeat(np.arange(len(scenes)), 2)
-    loads = crowd.limits(np.nan_to_num(landings, nan=2.0).ravel(), own)[0].reshape(landings.shape)
-    ramps = ramps_of(lambda _: loads, told, folds, zeros, breaks, snaps, outcome, ends)
+    loads = crowd.limits(np.nan_to_num(at_landings, nan=2.0).ravel(), own)[0].reshape(at_landings.shape)
+    ramps = ramps_of(lambda _: loads, *told[:-1], ends, told.ahead)
     return Batch(ramps, march.code, found.lines.points * SCALE)
+
+
+def _settle(
+    crowd: Crowd, membrane: Membrane, own: np.ndarray, told: Told, ended: np.ndarray, alone: np.ndarray
+) -> None:
+    """Settles in place what the lines of scenes `own`, all of one `membrane`, leave open.
+
+    A landing beyond breakdown may lie on any branch of the window. A landing below it decides only where the line is known
+    to its end (`ended`) and no other branch lies below breakdown (`alone`).
+    """
+    outcome, snaps, events = told.outcome, told.snaps, told.events
+    follows = (snaps[own] > 1) | ((snaps[own] == 1) & (outcome[own] == Outcome.breakdown_on_branch))
+    open_ = follows & ~(ended & alone)
+    landing = np.isin(outcome[own], (int(Outcome.no_landing), int(Outcome.breakdown_in_snap))) & ~open_
+    ends = own[landing]
+    if len(ends):
+        last = snaps[ends]
+        seen = events[ends, :, 2 + last]
+        folds = events[ends, :, last]
+        found = landings(crowd, membrane, ends, folds, exact=False)
+        # the line's own landing is exact; the scan only has to show the same
+        with np.errstate(invalid="ignore"):
+            same = (outcome[ends] == Outcome.breakdown_in_snap) & (np.abs(found.guess[:, 0] / seen[:, 0] - 1) < _SAME)
+        same |= (outcome[ends] == Outcome.breakdown_in_snap) & (found.kind == Landing.unknown) & alone[landing]
+        same |= found.kind == Landing.none
+        rest = np.flatnonzero(~same)
+        if len(rest):
+            exact = landings(crowd, membrane, ends[rest], folds[rest], exact=True)
+            outcome[ends[rest[exact.kind == Landing.broken]]] = Outcome.breakdown_in_snap
+            events[ends[rest], :, 2 + last[rest]] = exact.state
+            lost = (exact.kind == Landing.unknown) | (exact.kind == Landing.unbroken)
+            open_[np.flatnonzero(landing)[rest[lost]]] = True
+        none = (found.kind == Landing.none) & (outcome[ends] == Outcome.breakdown_in_snap)
+        open_[np.flatnonzero(landing)[none]] = True  # two ways that contradict each other
+    breaks = own[(outcome[own] == Outcome.breakdown_on_branch) & (snaps[own] == 0)]
+    breaks = breaks[told.ahead[breaks] == FoldAhead.unknown]
+    if len(breaks):
+        at = events[breaks, 0, 5], events[breaks, 3, 5]
+        told.ahead[breaks] = folds_ahead(membrane, pick(crowd.contour, breaks), *at)
+    lanes = own[open_]
+    events[lanes], snaps[lanes], outcome[lanes] = np.nan, 0, Outcome.unresolved

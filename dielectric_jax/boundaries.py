@@ -15,11 +15,10 @@ The last lies beyond the surface's domain: its state at λ2 is shot.
 
 import numpy as np
 
-from .batch import ByLeaves
-from .coarse_chart import coarse_chart
 from .designs import Designs, designs_of
+from .ensemble import landings_on
 from .far_states import FarStates
-from .regimes import SNAPPING, Regime
+from .outcomes import SNAPPING, Regime
 from .scene import SCANNED_LOAD, Scene
 from .searches import loading_columns
 from .sheet_conditions import solve_on_sheet
@@ -55,7 +54,7 @@ _FAR_STEPS = 160.0, 320.0  # of the shots beyond the surface; their results diff
 def kind_between(one: Regime, other: Regime) -> str | None:
     """Which equations hold where two regimes meet; None where no such equations are known."""
     pair = {Regime(one), Regime(other)}
-    if Regime.undetermined in pair:
+    if pair & {Regime.undetermined, Regime.not_decided}:
         return None
     if Regime.start_unstable in pair:
         return START
@@ -108,14 +107,9 @@ def guesses(kind: str, designs: Designs, which: np.ndarray) -> np.ndarray:
 
 
 def with_landing(surface: Surface, scene: Scene, names: tuple, values: np.ndarray, guess: np.ndarray) -> np.ndarray:
-    """Guesses (start, snap, load) of designs with λa and p of the landings, as a coarse chart of the window has them."""
-    chart = coarse_chart(ByLeaves.of(surface.membrane))
+    """Guesses (start, snap, load) of designs with λa and p of the landings, as the scan of the membrane shows them."""
     loading = designs_of(scene, dict(zip(names, values.T, strict=True))).loading
-    given = {name: np.broadcast_to(v, len(values)) for name, v in loading_columns(loading, surface).items()}
-    landings = [
-        chart.landing({name: float(v[i]) for name, v in given.items()}, guess[i, 1:]) for i in range(len(values))
-    ]
-    return np.concatenate([guess, np.reshape(landings, (-1, 2))], axis=1)
+    return np.concatenate([guess, landings_on(surface, loading_columns(loading, surface), guess[:, 1:])], axis=1)
 
 
 def completed(guess: np.ndarray, places: np.ndarray) -> np.ndarray:

@@ -6,13 +6,9 @@ the tangent, the final points are refined until neighbours turn by less than `_M
 Hermite interpolant of every event function is searched for a hidden pair of roots.
 """
 
-import collections
-import threading
-
-import jax
 import numpy as np
 
-from .chart import Scan, map_nodes, scan
+from .chart import Scan, cached_scan, map_nodes
 from .contours import OnSurface, margins, surface_branches
 from .equilibria import SCALE, locking_stretch
 from .loading import Contour
@@ -29,22 +25,6 @@ _NEAR, _SAME = 0.2, 0.03  # on the chart, in tenths of its extent: on one branch
 _LARGEST = (1.0, 0.2, 0.05)  # steps of the rounds in which branches are looked for
 _THIN = 3  # every third vertex of a contour is close enough to its neighbours
 _DEAR = 0.6  # load fraction near lock-up from which continuation takes most of its time
-
-_scans: collections.OrderedDict = collections.OrderedDict()
-_scanning = threading.Lock()
-
-
-def cached_scan(membrane: Membrane, stretches, loads) -> Scan:
-    """The scan of a membrane; the last sixteen are kept in memory."""
-    leaves, tree = jax.tree.flatten(membrane)
-    key = (tree, tuple(np.asarray(v).tobytes() for v in leaves), stretches, loads)
-    with _scanning:  # batches ask from several threads
-        if key not in _scans:
-            _scans[key] = scan(membrane, stretches, loads)
-            while len(_scans) > 16:
-                _scans.popitem(last=False)
-        _scans.move_to_end(key)
-        return _scans[key]
 
 
 def _on_chart(membrane: Membrane, u: np.ndarray) -> np.ndarray:

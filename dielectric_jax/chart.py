@@ -6,8 +6,10 @@ one R*, which is an equilibrium with p = R*, V = V*/R*³. The independent variab
 of all tensile states, and every branch of every loading is a contour of its condition on it.
 """
 
+import collections
 import dataclasses
 import itertools
+import threading
 
 import contourpy
 import jax
@@ -26,7 +28,7 @@ from .results import Code
 from .scene import SCANNED_LOAD
 from .shooting import MOST_STEPS, graded_map, integrate
 
-__all__ = ["Scan", "explicit_map", "scan"]
+__all__ = ["Scan", "cached_scan", "explicit_map", "scan"]
 
 _START = 1e-3
 _NODES = (
@@ -370,6 +372,23 @@ def scan(membrane: Membrane, stretches, loads, refinement: int = _REFINEMENT) ->
         np.exp(field[0]) * (1 - fine_t),
         np.exp(field[1]),
     )
+
+
+_scans: collections.OrderedDict = collections.OrderedDict()
+_scanning = threading.Lock()
+
+
+def cached_scan(membrane: Membrane, stretches, loads) -> Scan:
+    """The scan of a membrane; the last sixteen are kept in memory."""
+    leaves, tree = jax.tree.flatten(membrane)
+    key = (tree, tuple(np.asarray(v).tobytes() for v in leaves), stretches, loads)
+    with _scanning:  # batches ask from several threads
+        if key not in _scans:
+            _scans[key] = scan(membrane, stretches, loads)
+            while len(_scans) > 16:
+                _scans.popitem(last=False)
+        _scans.move_to_end(key)
+        return _scans[key]
 
 
 def edge_code(state: np.ndarray, stretches, loads, locks: bool, fraction: float) -> Code:

@@ -8,9 +8,8 @@ import scipy.optimize
 
 from .design_points import Kind, measure
 from .designs import classify_designs
-from .ensemble import Outcome
+from .outcomes import Outcome, Regime
 from .regime_maps import check_range, even
-from .regimes import Regime
 from .results import check_between
 from .scenarios import Scenario
 

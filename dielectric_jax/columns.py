@@ -11,10 +11,12 @@ import typing
 import numpy as np
 
 from .diagram import Diagram
-from .ensemble import Outcome, Ramps, ramps_of
+from .ensemble import Ramps, ramps_of
 from .materials import field_on
+from .outcomes import FoldAhead, Outcome, Regime
+from .ramp import ENDS
 from .records import State
-from .regimes import Regime
+from .regimes import regime_of_diagram
 from .results import Code
 
 __all__ = [
@@ -23,7 +25,6 @@ __all__ = [
     "Variable",
     "answers_of",
     "empty_answer",
-    "regimes_of",
     "variables_of",
 ]
 
@@ -36,7 +37,7 @@ class Answer(enum.IntEnum):
     not_computed = -1
     breakdown_on_branch = 0
     breakdown_in_snap = 1
-    no_unbroken_landing = 2
+    no_landing = 2
     start_unstable = 3
     unresolved = 4
     ended_by_window = 5  # the ramp met the window's end, or the film went slack, before breakdown
@@ -143,7 +144,7 @@ def variables_of(curves: bool) -> list[Variable]:
     """The variables of a sweep, codes first."""
     found = [
         Variable("outcome", {}, "int8", int(Answer.not_computed), flags_of("outcome")),
-        Variable("regime", {}, "int8", int(Regime.undetermined), flags_of("regime")),
+        Variable("regime", {}, "int8", int(Regime.not_decided), flags_of("regime")),
         Variable("code", {}, "int8", int(Code.ok), flags_of("code")),
         Variable("answered_by", {}, "int8", int(Source.none), flags_of("answered_by")),
         Variable("snaps", {}, "int8", 0, {"long_name": "snaps of the way up", "units": "1"}),
@@ -182,34 +183,11 @@ def empty_answer(count: int, curves: bool) -> dict[str, np.ndarray]:
     return {v.name: np.full((count, *v.dims.values()), v.fill, v.dtype) for v in variables_of(curves)}
 
 
-def regimes_of(ramps: Ramps) -> np.ndarray:
-    """The regime of every ramp, from its outcome and its events: `Regime` as numbers.
-
-    A ramp that reaches breakdown without a snap breaks before it where a fold lies further on, within `reach`. Where a
-    snap has no unbroken landing, the engines do not tell whether it has none at all.
-    """
-    outcome, breakdown = np.asarray(ramps.outcome), ramps.breakdown.apex_stretch[..., None]
-    survives = outcome == Outcome.breakdown_on_branch
-    with np.errstate(invalid="ignore"):
-        further = np.any(ramps.folds.apex_stretch > breakdown, axis=-1)
-    back = np.isfinite(ramps.snap_back.volume).any(axis=-1)
-    cases = [
-        (outcome == Outcome.start_unstable, Regime.start_unstable),
-        (outcome == Outcome.breakdown_in_snap, Regime.breaks_in_snap),
-        (outcome == Outcome.no_unbroken_landing, Regime.no_unbroken_landing),
-        (survives & (ramps.snaps == 0) & ~further, Regime.no_snap),
-        (survives & (ramps.snaps == 0) & further, Regime.breaks_before_snap),
-        (survives & (ramps.snaps > 0) & ~back, Regime.stays),
-        (survives & (ramps.snaps > 0) & back, Regime.returns),
-    ]
-    return np.select([c for c, _ in cases], [int(r) for _, r in cases], int(Regime.undetermined)).astype("int8")
-
-
 def answers_of(ramps: Ramps, source: Source, code: typing.Any = Code.ok) -> dict[str, np.ndarray]:
     """The variables of ramps (without curves); loadings along one axis."""
     found = {
         "outcome": np.asarray(ramps.outcome, "int8"),
-        "regime": regimes_of(ramps),
+        "regime": ramps.regime,
         "code": np.broadcast_to(np.asarray(code, "int8"), ramps.outcome.shape),
         "answered_by": np.where(ramps.outcome == Outcome.unresolved, int(Source.none), int(source)).astype("int8"),
         "snaps": np.asarray(ramps.snaps, "int8"),
@@ -257,7 +235,8 @@ def answer_of_diagram(diagram: Diagram) -> dict[str, np.ndarray]:
         states = sorted((p for p in own if p.kind == kind), key=lambda p: p.apex_stretch)
         for i, state in enumerate(states[: columns.shape[2]]):
             put(columns, i, state)
-    outcome = _OUTCOMES.get(up.area_strain_reason or "", Answer.ended_by_window)
+    reason = up.area_strain_reason or ""
+    outcome = int(ENDS[reason]) if reason in ENDS else int(Answer.ended_by_window if up.events else Answer.no_answer)
     snaps = np.array([len(up["snap"])])
     law = diagram.scene.membrane.breakdown
 
@@ -269,23 +248,15 @@ def answer_of_diagram(diagram: Diagram) -> dict[str, np.ndarray]:
         apex = diagram.branches[branch[0]].apex_stretch
         reach[0] = np.nanmin(apex), np.nanmax(apex)
     folds, zeros, breaks = marks.values()
-    ramps = ramps_of(breakdown_load, told, folds, zeros, breaks, snaps, np.array([int(outcome)]), reach)
+    ramps = ramps_of(
+        breakdown_load, told, folds, zeros, breaks, snaps, np.array([outcome]), reach, np.array([FoldAhead.unknown])
+    )
     found = answers_of(ramps, Source.diagram) | {"area_strain": np.array([up.area_strain], float)}
     landings = [e.state.breakdown_ratio for e in up["landing"]][:2]
     found["landing_ratio"] = np.full((1, 2), np.nan)
     found["landing_ratio"][0, : len(landings)] = landings
-    if up.area_strain_reason == "no landing":
-        found["regime"][:] = int(Regime.no_landing)
+    found["regime"] = np.array([int(regime_of_diagram(diagram))], "int8")
     return found
-
-
-_OUTCOMES = {
-    "breakdown on the branch": Answer.breakdown_on_branch,
-    "breakdown in the snap": Answer.breakdown_in_snap,
-    "no landing": Answer.no_unbroken_landing,
-    "start_unstable": Answer.start_unstable,
-    "no state at zero voltage in the window": Answer.no_answer,
-}
 
 
 def _same(point: State, state: State) -> bool:

@@ -16,11 +16,10 @@ from .climbing import NEAR, Climb, Wishes, axis_of, inwards, scan_designs
 from .design_points import Kind, begin_of
 from .designs import classify_designs, surface_for
 from .diagram import Diagram, voltage_volume
-from .ensemble import Outcome
 from .family import SurfaceFamily
+from .outcomes import Outcome, Regime
 from .records import plain
 from .regime_maps import even
-from .regimes import Regime
 from .scenarios import scenarios_of
 from .scene import PARAMETERS, Scene, describe
 from .surface import Surface
@@ -179,7 +178,7 @@ def _seeds(strain: np.ndarray, nominal, counts, wishes: Wishes) -> list[int]:
     )
     best = []
     for snaps in (0, 1, 2):
-        for regime in (Regime.no_snap, Regime.breaks_before_snap, Regime.stays, Regime.returns):
+        for regime in (Regime.no_snap, Regime.breaks_before_snap, Regime.stays, Regime.returns, Regime.not_decided):
             own = np.isfinite(strain) & (ramps.snaps == snaps) & (nominal.regime == int(regime))
             for part in _parts(own, counts):
                 best.append((-strain[part].max(), int(part[np.argmax(strain[part])])))

@@ -1,9 +1,10 @@
 """Many designs at once: their ramps on the surfaces of their membranes, and the regime of each.
 
-The surface tells the ramp of a design exactly as far as the surface goes, a little above breakdown. What lies farther is read
-from a coarse chart of the membrane that covers the whole window.
+The surface gives the ramps of most designs. Those that it does not decide go through continuation side by side, and what
+that leaves open through whole diagrams.
 """
 
+import contextlib
 import dataclasses
 import functools
 import itertools
@@ -12,19 +13,28 @@ import typing
 import jax
 import numpy as np
 
-from .batch import ByLeaves
-from .coarse_chart import coarse_chart
-from .ensemble import Outcome, Ramps, chamber_ramps, pressure_ramps
+from .batch import ByLeaves, continue_scenes
+from .ensemble import Ramps, chamber_ramps, pressure_ramps
 from .family import SurfaceFamily
 from .loading import Chamber, ConstantPressure
 from .materials import field_on
 from .membrane import Membrane
-from .regimes import regimes_of_ramps
+from .outcomes import Regime
+from .regimes import regime_of
+from .results import SceneError
 from .scene import Scene
 from .searches import loading_columns
 from .surface import ById, Surface
 
-__all__ = ["MATERIAL_CONSTANTS", "Designs", "classify_designs", "sheet_over", "surface_for"]
+__all__ = [
+    "MATERIAL_CONSTANTS",
+    "Designs",
+    "by_continuation",
+    "classify_designs",
+    "designs_on_surfaces",
+    "sheet_over",
+    "surface_for",
+]
 
 MATERIAL_CONSTANTS = ("stretch_limit", "chain_links")
 _TYPICAL = 5.0  # a stretch at which breakdown laws are compared
@@ -115,8 +125,8 @@ def classify_designs(
 ) -> Designs:
     """The regimes of many designs: `scene` with the named parameters at the values of arrays of one shape (n,).
 
-    With `whole=False` what the surface does not tell stays undetermined. A `surface` of the membrane (or a family, where the prestretch varies) is built where none is given. Raises ValueError for
-    parameters the scene does not take.
+    With `whole=False` what the surface does not decide stays `not_decided`. A `surface` of the membrane (or a family, where
+    the prestretch varies) is built where none is given. Raises ValueError for parameters the scene does not take.
 
     >>> from dielectric_jax import Membrane, Regime
     >>> scene = Scene(Membrane(), Chamber(volume=1600.0, initial_volume=2.42))
@@ -124,6 +134,15 @@ def classify_designs(
     >>> [Regime(int(r)).name for r in found.regime]
     ['breaks_in_snap', 'returns', 'no_snap', 'returns', 'stays']
     """
+    found = designs_on_surfaces(scene, parameters, surface=surface)
+    if whole:
+        by_continuation(found)
+        _by_diagrams(found)
+    return found
+
+
+def designs_on_surfaces(scene: Scene, parameters: dict, *, surface: Surface | SurfaceFamily | None) -> Designs:
+    """Designs as far as the surfaces of their membranes decide them."""
     if not isinstance(scene.loading, (Chamber, ConstantPressure)):
         raise ValueError(f"`loading` must be a Chamber or a ConstantPressure here, but is {scene.loading!r}.")
     columns = designs_of(scene, parameters)
@@ -137,25 +156,29 @@ def classify_designs(
         own = np.array(own)
         sheet[own] = number
         membrane = jax.tree.map(lambda v, i=own[0]: np.float64(v[i]), columns.membrane)
-        parts.append(_on_one(surface_for(membrane, surface), _row(columns.loading, own), whole))
+        sheet_of = surface_for(membrane, surface)
+        given = loading_columns(_row(columns.loading, own), sheet_of)
+        parts.append(pressure_ramps(sheet_of, **given) if "pressure" in given else chamber_ramps(sheet_of, **given))
         order.append(own)
     back = np.argsort(np.concatenate(order))
-    regime, ramps = jax.tree.map(lambda *v: np.concatenate(v)[back], *parts)
-    return Designs(columns, regime, ramps, sheet)
+    ramps: Ramps = jax.tree.map(lambda *v: np.concatenate(v)[back], *parts)
+    return Designs(columns, ramps.regime.astype(int), ramps, sheet)
 
 
-def _on_one(surface: Surface, loading, whole: bool) -> tuple[np.ndarray, Ramps]:
-    """Regimes and ramps of loadings, columns, of one membrane."""
-    given = loading_columns(loading, surface)
-    ramps = pressure_ramps(surface, **given) if "pressure" in given else chamber_ramps(surface, **given)
-    regime = regimes_of_ramps(ramps)
-    open_ = np.flatnonzero(np.isin(ramps.outcome, (Outcome.unresolved, Outcome.no_unbroken_landing)))
-    if len(open_) and whole:
-        chart = coarse_chart(ByLeaves.of(surface.membrane))
-        for i in open_:
-            snap = None
-            if ramps.outcome[i] == Outcome.no_unbroken_landing:
-                k = max(int(ramps.snaps[i]) - 1, 0)
-                snap = ramps.snap.apex_stretch[i, k], ramps.snap.voltage[i, k] ** 2
-            regime[i] = chart.regime({n: float(np.asarray(v).ravel()[i]) for n, v in given.items()}, snap)
-    return regime, ramps
+def _left(found: Designs) -> np.ndarray:
+    return np.flatnonzero(found.regime == Regime.not_decided)
+
+
+def by_continuation(found: Designs) -> None:
+    """Settles in place the regimes of designs that no surface decides, by continuation side by side."""
+    left = _left(found)
+    if len(left):
+        batch = continue_scenes([jax.tree.map(lambda v, i=i: np.float64(v[i]), found.scenes) for i in left])
+        found.regime[left] = batch.ramps.regime
+
+
+def _by_diagrams(found: Designs) -> None:
+    """Settles in place the regimes that continuation leaves open, by whole diagrams one after the other."""
+    for i in _left(found):
+        with contextlib.suppress(SceneError):
+            found.regime[i] = int(regime_of(jax.tree.map(lambda v, i=i: np.float64(v[i]), found.scenes)))

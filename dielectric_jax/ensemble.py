@@ -14,17 +14,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .beyond import Landing, folds_ahead, landings
+from .crowd import Crowd
+from .equilibria import locking_stretch
 from .kept import kept_jit
+from .loading import Chamber, ConstantPressure, Contour
 from .marks import LEVEL, ContourOnRows, Events, first_place
+from .outcomes import FoldAhead, Outcome, regimes_of
 from .programs import threads
-from .ramp_on_rows import Outcome, polish_program, ramp_program, snap_program
+from .ramp_on_rows import polish_program, ramp_program, snap_program
 from .results import check_positive
 from .rows import ROWS, Conditions, Rows, crossings, rows_of
 from .surface import ById, Surface
 
 __all__ = [
     "Curves",
-    "Outcome",
     "Point",
     "Ramps",
     "chamber_curves",
@@ -67,6 +71,7 @@ class Ramps(typing.NamedTuple):
 
     Special points of the contour through the start, by rising λa along a last axis: `folds` (of q, six), `zero_voltage`
     (five), `breakdowns` (three); all there are between the two λa of `reach` (…, 2), where the surface holds the contour alone.
+    `outcome` holds an `Outcome` for each ramp. `ahead` is a `FoldAhead`: whether a branch that breaks down has a fold further on.
     """
 
     start: Point
@@ -85,6 +90,13 @@ class Ramps(typing.NamedTuple):
     reach: np.ndarray
     outcome: np.ndarray
     error: np.ndarray
+    ahead: np.ndarray
+
+    @property
+    def regime(self) -> np.ndarray:
+        """The `Regime` of every ramp as numbers; `not_decided` where the engine could not determine it."""
+        back = np.isfinite(self.snap_back.volume).any(axis=-1)
+        return regimes_of(self.outcome, self.snaps, back, self.ahead)
 
 
 class Curves(typing.NamedTuple):
@@ -227,7 +239,80 @@ def curves_and_ramps(surface: Surface, given: dict) -> tuple[Curves, Ramps]:
     columns, kind = _loadings(surface, given)
     q, p, v, again, *told = _run(_glance_chunk, surface, columns, kind, 0, _FEW)
     curves = Curves(np.asarray(rows_of(ById(surface)).apex_stretch), q, p, v, again)
-    return curves, ramps_of(surface.breakdown_load, *told)
+    return curves, _answer(surface, columns, kind, told, exact=True)
+
+
+def _answer(surface: Surface, columns: list[np.ndarray], kind: str, told: list, *, exact: bool = False) -> Ramps:
+    """The ramps that the program found on the surface, with what lies beyond it: landings, and folds further on.
+
+    With `exact` landings beyond the surface are located; else their numbers are NaN and only the outcome says that they
+    are there.
+    """
+    events, folds, zeros, breaks, snaps, outcome, reach = told
+    shape = outcome.shape
+    flat = [np.reshape(v, (-1, *v.shape[len(shape) :])) for v in (events, folds, snaps, outcome)]
+    ahead = _decide_beyond(surface, [v.ravel() for v in columns], kind, *flat, exact=exact).reshape(shape)
+    events, folds, snaps, outcome = (
+        np.reshape(v, w.shape) for v, w in zip(flat, (events, folds, snaps, outcome), strict=True)
+    )
+    return ramps_of(surface.breakdown_load, events, folds, zeros, breaks, snaps, outcome, reach, ahead)
+
+
+def _decide_beyond(surface: Surface, columns, kind: str, events, folds, snaps, outcome, *, exact: bool) -> np.ndarray:
+    """Settles in place the ramps whose end lies beyond the surface; returns their `FoldAhead`."""
+    ahead = np.full(len(outcome), int(FoldAhead.unknown))
+    broken = events[:, 0, 5]
+    with np.errstate(invalid="ignore"):
+        ahead[(folds[:, 0] > broken[:, None]).any(axis=1)] = FoldAhead.fold
+    first = outcome == Outcome.breakdown_on_branch
+    open_ = np.flatnonzero(first & (snaps == 0) & (ahead == FoldAhead.unknown))
+    if len(open_):
+        contour = _contour(columns, kind, events, open_)
+        ahead[open_] = folds_ahead(surface.membrane, contour, broken[open_], events[open_, 3, 5])
+    lost = np.flatnonzero(outcome == Outcome.no_landing)
+    if len(lost):
+        last = np.maximum(snaps[lost], 1)
+        crowd = _crowd(surface, _contour(columns, kind, events, lost))
+        found = landings(crowd, surface.membrane, np.arange(len(lost)), events[lost, :, last], exact=exact)
+        outcome[lost[found.kind == Landing.broken]] = Outcome.breakdown_in_snap
+        events[lost, :, 2 + last] = found.state
+        undecided = lost[(found.kind == Landing.unknown) | (found.kind == Landing.unbroken)]
+        events[undecided], snaps[undecided], outcome[undecided] = np.nan, 0, Outcome.unresolved
+    return ahead
+
+
+def _contour(columns, kind: str, events, which: np.ndarray) -> Contour:
+    """The conditions of loadings, as columns."""
+    own = [v[which] for v in columns]
+    example = ConstantPressure(1.0) if kind == "pressure" else Chamber(volume=1.0, initial_volume=1.0)
+    loading = jax.tree.unflatten(jax.tree.structure(example), own)
+    filling = () if kind == "pressure" else (events[which, 1, 0], own[1])
+    return jax.tree.map(lambda v: np.broadcast_to(np.asarray(v, float), len(which)), loading.contour(*filling))
+
+
+def landings_on(surface: Surface, given: dict, folds: np.ndarray) -> np.ndarray:
+    """λa and p (n, 2) of the states on which snaps of loadings (n,) land, from folds (λa, q) (n, 2), as the scan shows them.
+
+    `given` names the columns as the arguments of `chamber_ramps`, or the pressure. NaN where there is none, or none is clear.
+    """
+    count = len(folds)
+    given = {name: np.broadcast_to(np.asarray(v, float), count) for name, v in given.items()}
+    columns, kind = _loadings(surface, given)
+    starts = np.moveaxis(first_folds_on(surface, given)[:, :1], 1, 2)  # (n, values, events)
+    apart = np.column_stack([folds[:, 0], np.full((count, 2), np.nan), folds[:, 1], np.zeros(count)])
+    which = np.flatnonzero(np.isfinite(folds).all(axis=1) & np.isfinite(starts[:, 1, 0]))
+    guess = np.full((count, 2), np.nan)
+    if len(which):
+        crowd = _crowd(surface, _contour(columns, kind, starts, which))
+        found = landings(crowd, surface.membrane, np.arange(len(which)), apart[which], exact=False)
+        guess[which] = np.where(np.isfinite(found.state[:, :2]), found.state[:, :2], found.guess)
+    return guess
+
+
+def _crowd(surface: Surface, contour: Contour) -> Crowd:
+    count = len(contour.pressure_weight)
+    membrane = jax.tree.map(lambda v: np.full(count, float(v)), surface.membrane)
+    return Crowd(membrane, contour, np.full(count, locking_stretch(surface.membrane)))
 
 
 def _run(chunk, surface: Surface, columns: list[np.ndarray], kind: str, axis: int, some: int = _CHUNK):
@@ -282,7 +367,7 @@ def _columns(surface, given: dict) -> list[np.ndarray]:
     return list(columns.values())
 
 
-def ramps_of(breakdown_load: Callable, told, folds, zeros, breaks, snaps, outcome, reach) -> Ramps:
+def ramps_of(breakdown_load: Callable, told, folds, zeros, breaks, snaps, outcome, reach, ahead) -> Ramps:
     """The answer of the program, by names; points have an axis of λa, p, V, q, error, then one of events.
 
     `breakdown_load` gives q_b of stretches at the apex.
@@ -319,6 +404,7 @@ def ramps_of(breakdown_load: Callable, told, folds, zeros, breaks, snaps, outcom
         reach=reach,
         outcome=outcome,
         error=np.where(outcome == Outcome.unresolved, np.nan, np.max(np.nan_to_num(told[..., 4, :], nan=0.0), axis=-1)),
+        ahead=ahead,
     )
 
 
@@ -339,7 +425,7 @@ def chamber_ramps(
     """
     given = chamber_volume, initial_volume, atmospheric_pressure, polytropic_exponent
     columns, kind = _chambers(surface, *given)
-    return ramps_of(surface.breakdown_load, *_run(_ramps_chunk, surface, columns, kind, 0))
+    return _answer(surface, columns, kind, _run(_ramps_chunk, surface, columns, kind, 0))
 
 
 def pressure_ramps(surface: Surface, pressure) -> Ramps:
@@ -347,12 +433,11 @@ def pressure_ramps(surface: Surface, pressure) -> Ramps:
 
     >>> from dielectric_jax import Membrane
     >>> ramps = pressure_ramps(Surface.build(Membrane()), [1.0, 1.82])
-    >>> ramps.outcome.tolist() == [Outcome.no_unbroken_landing] * 2
-    True
+    >>> [Outcome(int(o)).name for o in ramps.outcome]
+    ['breakdown_in_snap', 'breakdown_in_snap']
     """
-    return ramps_of(
-        surface.breakdown_load, *_run(_ramps_chunk, surface, _columns(surface, {"pressure": pressure}), "pressure", 0)
-    )
+    columns = _columns(surface, {"pressure": pressure})
+    return _answer(surface, columns, "pressure", _run(_ramps_chunk, surface, columns, "pressure", 0))
 
 
 def chamber_curves(

@@ -23,10 +23,10 @@ from .ensemble import curves_and_ramps
 from .glances import Glance, glance
 from .loading import Chamber, ConstantPressure, ConstantVoltage
 from .membrane import Membrane
+from .outcomes import Regime
 from .plotting import plot_pressure_volume, plot_voltage_volume
-from .ramp_on_rows import Outcome
 from .records import Event
-from .regimes import Regime, regime_of_diagram
+from .regimes import regime_of_diagram
 from .results import SceneError
 from .scene import Scene, Window
 from .store import need
@@ -336,12 +336,10 @@ def _story(seen: Any) -> str:
         return "The ramp cannot start: the state at zero voltage is not stable."
     if seen.area_strain is not None and np.isfinite(seen.area_strain):
         parts.append(f"area strain {seen.area_strain:.5g}")
-    if regime != Regime.undetermined:
+    if regime not in (Regime.undetermined, Regime.not_decided):
         parts.append(f"regime: <b>{regime.words}</b>")
-    if not whole and seen.outcome == Outcome.unresolved:
+    if not whole and regime == Regime.not_decided:
         parts.append(f"the surface alone does not decide this ramp. {_WHOLE}")
-    elif not whole and seen.outcome == Outcome.no_unbroken_landing:
-        parts.append(f"no unbroken landing. {_WHOLE}")
     elif not whole and seen.several:
         parts.append(f"the curve has gaps where a stretch of the apex belongs to several states. {_WHOLE}")
     text = "; ".join(parts)

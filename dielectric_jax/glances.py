@@ -13,12 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import PPoly, make_interp_spline
 
-from .ensemble import Curves, Outcome, Ramps, curves_and_ramps, filling_volumes
+from .ensemble import Curves, Ramps, curves_and_ramps, filling_volumes
 from .kept import kept_jit
 from .loading import Chamber, ConstantPressure, ConstantVoltage
+from .outcomes import Outcome, Regime
 from .plotting import plot_diagram
 from .records import Branch, Event, SpecialPoint, State, events_table, points_table
-from .regimes import Regime, regimes_of_ramps
 from .results import Code, SceneError
 from .rows import Rows, rows_of
 from .scene import Scene
@@ -135,7 +135,7 @@ def _voltage_volume(scene: Scene, surface: Surface, curves: Curves, ramps: Ramps
     marks = [("fold", ramps.folds), ("zero_voltage", ramps.zero_voltage), ("breakdown", ramps.breakdowns)]
     points = [p for kind, found in marks for p in _points(rows, kind, found, branches)]
     events = () if outcome == Outcome.unresolved else tuple(_events(rows, ramps, outcome))
-    regime = Regime(int(regimes_of_ramps(ramps)))
+    regime = Regime(int(ramps.regime))
     strain = float(ramps.area_strain)
     kept = _Kept("voltage-volume", scene, branches, points, None)
     return kept.glance(
@@ -268,7 +268,7 @@ def _pressure_volume(scene: Scene, surface: Surface, voltage: float) -> Glance:
         raise SceneError(Code.surface_edge, _NOTHING)
     points = [p for k, b in enumerate(branches) if len(b) > 6 for p in _extremes(rows.surface, b, k)]
     kept = _Kept("pressure-volume", scene, branches, points, voltage)
-    return kept.glance(events=(), outcome=None, regime=Regime.undetermined, area_strain=np.nan, several=False)
+    return kept.glance(events=(), outcome=None, regime=Regime.not_decided, area_strain=np.nan, several=False)
 
 
 def _extremes(surface: Surface, branch: Branch, number: int) -> typing.Iterator[SpecialPoint]:

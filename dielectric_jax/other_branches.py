@@ -7,7 +7,7 @@ neighbourhood the line has no point.
 import jax
 import numpy as np
 
-from .branches import cached_scan
+from .chart import cached_scan
 from .crowd import Crowd, pick
 from .equilibria import SCALE
 from .loading import ConstantVoltage

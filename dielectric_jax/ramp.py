@@ -9,11 +9,21 @@ import math
 
 import numpy as np
 
+from .materials import largest_load
+from .outcomes import Outcome
 from .records import Event, Ramp, SpecialPoint, State
+from .scene import SCANNED_LOAD
 from .states import states_of
 
-__all__ = ["build_ramp", "build_way_back", "flat_ramp"]
+__all__ = ["ENDS", "build_ramp", "build_way_back", "flat_ramp"]
 
+#: why the area strain is taken where it is, and the way of ending that it stands for
+ENDS = {
+    "breakdown on the branch": Outcome.breakdown_on_branch,
+    "breakdown in the snap": Outcome.breakdown_in_snap,
+    "no landing": Outcome.no_landing,
+    "start_unstable": Outcome.start_unstable,
+}
 _MOST_JUMPS = 50
 _SAME = 1e-3  # of the apex stretch: beside a fold it is the vaguer
 
@@ -58,7 +68,10 @@ def _end_of(solved, here, side) -> State:
 
 
 def _land(solved, fold, side):
-    """The index-0 state at the fold's control nearest in volume in the direction of the jump, or None."""
+    """The index-0 state at the fold's control nearest in volume in the direction of the jump, or None.
+
+    It lies in the scanned window, t ≤ 0.9: beyond, branches are followed only as far as their errors allow.
+    """
     curve = solved.curves[fold.branch]
     i = int(np.clip(np.searchsorted(curve.position, fold.position), 1, len(curve.position) - 1))
     direction = side * np.sign(np.diff(curve.points.place(solved.solver.contour)[i - 1 : i + 1])[0])
@@ -66,7 +79,10 @@ def _land(solved, fold, side):
     for other in solved.states_at(solved.control_at(fold)):
         jump = (solved.place(other) - solved.place(fold)) * direction
         same = other.branch == fold.branch and abs(other.position - fold.position) < 1e-4
-        if jump > 0 and not same and other.point.index[0] == 0:
+        scanned = (
+            other.point.u[2, 0] <= SCANNED_LOAD * largest_load(solved.solver.membrane.material, other.point.u[0])[0]
+        )
+        if jump > 0 and not same and other.point.index[0] == 0 and scanned:
             found.append((jump, other))
     return min(found, key=lambda f: f[0])[1] if found else None
 

@@ -3,34 +3,23 @@
 Written for one loading, to be vmapped; its events are told between rows and, where that is too rough, met on the surface.
 """
 
-import enum
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from .kept import kept_jit
 from .marks import BREAKDOWN, FOLD, LEVEL, ContourOnRows, Events, Marks, first_place, last_place, meet_on_surface
+from .outcomes import Outcome
 from .rows import ROWS, Conditions, Rows
 from .surface import Surface
 
-__all__ = ["Outcome", "polish_program", "ramp_program", "snap_program"]
+__all__ = ["polish_program", "ramp_program", "snap_program"]
 
 _SNAPS = 2
 _MOST_ERROR = 1e-4  # between rows, of a ramp that is told
 _AMBIGUOUS = 1e-8  # a snap or landing this near to breakdown is not told
 _SOON = 20  # rows
 _ULP = 2.3e-16
-
-
-class Outcome(enum.IntEnum):
-    """How a ramp up ends, as `Ramps.outcome` holds it."""
-
-    breakdown_on_branch = 0
-    breakdown_in_snap = 1
-    no_unbroken_landing = 2  # no landing, or one at a load more than a fifth above breakdown
-    start_unstable = 3
-    unresolved = 4  # ask `voltage_volume` for this loading
 
 
 def _span(start: Events, plain):
@@ -130,7 +119,7 @@ def _ramp(rows: Rows, condition: Conditions, start: Events, q, v, found, again, 
         & (jnp.max(jnp.where(told.seen(), told.error, 0.0)) < _MOST_ERROR)
     )
     outcome = jnp.where(broken, int(Outcome.breakdown_in_snap), int(Outcome.breakdown_on_branch))
-    outcome = jnp.where(lost, int(Outcome.no_unbroken_landing), outcome)
+    outcome = jnp.where(lost, int(Outcome.no_landing), outcome)
     outcome = jnp.where(climbs, outcome, int(Outcome.start_unstable))
     outcome = jnp.where(fair, outcome, int(Outcome.unresolved))
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .drawing import COLOURS
-from .regimes import REGIME_COLOURS
+from .outcomes import REGIME_COLOURS
 from .store import need
 
 if TYPE_CHECKING:

@@ -12,12 +12,20 @@ import numpy as np
 import scipy.ndimage
 
 from .boundaries import LANDING_LEAVES, completed, guesses, has_event, kind_between, meet, with_landing
-from .designs import MATERIAL_CONSTANTS, Designs, classify_designs, sheet_over, surface_for
-from .ensemble import Outcome, Ramps
+from .designs import (
+    MATERIAL_CONSTANTS,
+    Designs,
+    by_continuation,
+    classify_designs,
+    designs_on_surfaces,
+    sheet_over,
+    surface_for,
+)
+from .ensemble import Ramps
 from .family import SurfaceFamily
 from .grid_lines import beside_change, chains, changes
+from .outcomes import Outcome, Regime
 from .records import plain
-from .regimes import Regime
 from .results import check_positive
 from .scene import PARAMETERS, Scene, describe
 from .surface import Surface
@@ -146,7 +154,8 @@ class _Known:
     def add(self, values: np.ndarray) -> np.ndarray:
         """Classifies designs (n, parameters); their numbers."""
         parameters = dict(zip(self.names, values.T, strict=True))
-        found = classify_designs(self.scene, parameters, surface=self.surface)
+        found = designs_on_surfaces(self.scene, parameters, surface=self.surface)
+        by_continuation(found)
         self.parts.append(found)
         first = len(self.regime)
         self.values = np.concatenate([self.values, values])

@@ -15,11 +15,12 @@ from .continuation import Steps, advance, begin
 from .crowd import Crowd
 from .diagram import voltage_volume
 from .engines import ByShooting, towers
-from .ensemble import Outcome, Ramps, chamber_ramps, first_folds_on, pressure_ramps
+from .ensemble import Ramps, chamber_ramps, first_folds_on, pressure_ramps
 from .equilibria import SCALE, locking_stretch
 from .kept import kept_jit
 from .leaves import Scenes
 from .loading import Chamber, ConstantPressure, ConstantVoltage
+from .outcomes import Outcome
 from .points import FOLD, Conditions, correction
 from .records import State
 from .results import Code, SceneError
@@ -275,6 +276,8 @@ def _table_of(ramps: Ramps) -> dict[str, np.ndarray]:
         values[none, :5] = np.nan
         values[none, 5] = int(missing.get(name, Code.not_converged))
         values[none & unstable, 5] = int(Code.start_unstable)
+    for name in ("landing", "breakdown"):
+        table[name][outcome == Outcome.no_landing, 5] = int(Code.no_landing)
     return table
 
 
@@ -331,7 +334,8 @@ def ramp_events(scenes: Scenes, surface: Surface | None = None, *, alone: bool =
         ramps = pressure_ramps(surface, **given) if "pressure" in given else chamber_ramps(surface, **given)
     table = _table_of(ramps)
     unknown = ramps.outcome == Outcome.unresolved
-    unknown |= (ramps.outcome == Outcome.no_unbroken_landing) & ~np.isfinite(table["landing"][:, 0])
+    # the surface says that a landing is there, not where
+    unknown |= (ramps.outcome == Outcome.breakdown_in_snap) & ~np.isfinite(table["landing"][:, 0])
     for i in np.flatnonzero(unknown) if alone else ():
         try:
             events: dict[str, typing.Any] = _diagram_events(scenes[i], surface)

@@ -8,8 +8,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.optimize import root_scalar
 
-from .branches import cached_scan
-from .chart import map_nodes, stretch_shares
+from .chart import cached_scan, map_nodes, stretch_shares
 from .equilibria import Points, polish
 from .loading import Chamber, ConstantPressure, ConstantVoltage, PrescribedVolume, mechanical
 from .materials import capacitance, field_on, is_concrete, largest_load

@@ -28,6 +28,7 @@ from .family import SurfaceFamily
 from .loading import Chamber, ConstantPressure
 from .locks import alone
 from .membrane import Membrane
+from .outcomes import Regime
 from .results import SceneError
 from .scene import PARAMETERS, Scene
 from .surface import Surface
@@ -195,7 +196,8 @@ class _Block:
 
     def left(self) -> np.ndarray:
         """The scenes that no engine has decided yet."""
-        return np.flatnonzero(self.answer["outcome"] == int(Answer.unresolved))
+        ended = np.isin(self.answer["outcome"], [int(Answer.unresolved), int(Answer.breakdown_on_branch)])
+        return np.flatnonzero(ended & (self.answer["regime"] == int(Regime.not_decided)))
 
 
 _ERRORS = ValueError, ArithmeticError, LookupError, RuntimeError, TypeError

@@ -86,7 +86,7 @@ def test_both_sides_of_every_curve(small, scene, surface):
             sides.append(dj.classify_designs(scene, moved, surface=surface, whole=False).regime)
         wanted = tuple(sorted(int(r) for r in curve.regimes))
         # where folds merge the surface leaves a sliver undecided, and some large chambers
-        told = [tuple(sorted(pair)) for pair in zip(*sides, strict=True) if int(Regime.undetermined) not in pair]
+        told = [tuple(sorted(pair)) for pair in zip(*sides, strict=True) if int(Regime.not_decided) not in pair]
         assert all(pair == wanted for pair in told)
         seen += len(told)
     assert seen >= 20
