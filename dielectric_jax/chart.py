@@ -103,8 +103,8 @@ def _map(material: AbstractMaterial, apex_stretch, voltage_squared, prestretch, 
 
 
 def _map_program(outputs: bool):
-    def explicit_map(*args):
-        return _map(*args, outputs)
+    def explicit_map(material, apex_stretch, voltage_squared, prestretch, steps):
+        return _map(material, apex_stretch, voltage_squared, prestretch, steps, outputs)
 
     return kept_jit(explicit_map)
 

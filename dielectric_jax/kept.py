@@ -14,6 +14,7 @@ import inspect
 import os
 import pathlib
 import threading
+import typing
 import zlib
 from collections.abc import Callable
 
@@ -28,7 +29,7 @@ from .cache import enabled_folder
 __all__ = ["elementwise", "kept_jit", "of_this_package", "source_digest"]
 
 # the widest vectors that the processor has; XLA would take half of them on many
-_OPTIONS = {"xla_cpu_prefer_vector_width": 512}
+_OPTIONS: typing.Any = {"xla_cpu_prefer_vector_width": 512}
 _PACKAGE = __name__.split(".")[0]
 _MOST_LIVE = 24e6  # bytes of optimised code in XLA's own format; in memory a program takes some twenty times its own
 _MOST_SHELVED = 100e6  # bytes of packed programs, some 0.3 MB each
@@ -125,7 +126,7 @@ class Programs:
 
     def _pack(self, key, program) -> None:
         # what JAX's own cache holds is read from there, and what came from there cannot be packed: its code is missing
-        if key in self._shelf or jax.config.jax_compilation_cache_dir:
+        if key in self._shelf or _setting("jax_compilation_cache_dir"):
             return
         with contextlib.suppress(Exception):  # some backends cannot
             content, *trees = serialize_executable.serialize(program)
@@ -140,6 +141,11 @@ class Programs:
             return None
         content, *trees = packed
         return serialize_executable.deserialize_and_load(zlib.decompress(content), *trees)
+
+
+def _setting(name: str) -> typing.Any:
+    """A setting of JAX as it is in this thread."""
+    return getattr(jax.config, name)
 
 
 def _size(program) -> int:
@@ -173,11 +179,11 @@ def kept_jit(function: Callable) -> Callable:
         folder = enabled_folder()
         arrays = [leaf if hasattr(leaf, "dtype") else np.asarray(leaf) for leaf in leaves]
         shapes = tuple((leaf.shape, leaf.dtype) for leaf in arrays)
-        key = function, folder, jax.config.jax_default_device, tree, shapes
+        key = function, folder, _setting("jax_default_device"), tree, shapes
 
         def make():
-            keep = folder is not None and of_this_package(args)
-            return _compiled(function, tree, shapes, folder / "programs" if keep else None)
+            own = folder / "programs" if folder is not None and of_this_package(args) else None
+            return _compiled(function, tree, shapes, own)
 
         return _PROGRAMS.of(key, make)(*arrays)
 
