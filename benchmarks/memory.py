@@ -255,7 +255,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--ways", nargs="+", choices=list(WAYS), help="only these, of every scene")
     parser.add_argument("--json", metavar="FILE", help='"-" is standard output')
-    parser.add_argument("--quick", action="store_true", help="4 scenes")
+    parser.add_argument("--quick", action="store_true", help="4 scenes of Gent films, curves and diagrams only")
     options = parser.parse_args()
     scenes, block = (4, 2) if options.quick else (options.scenes, options.block)
     ways = {w: WAYS[w] for w in ("curve", "diagram")} if options.quick else WAYS
@@ -268,7 +268,7 @@ def main() -> int:
     for done in range(0, scenes, block):
         before, seconds = compiled.copy(), dict.fromkeys(ways, 0.0)
         for i in range(done, min(done + block, scenes)):
-            scene = draw_scene(random)
+            scene = draw_scene(random, gent if options.quick else None)
             for name, (every, way) in ways.items():
                 if i % every == 0:
                     begin = time.perf_counter()
