@@ -6,11 +6,11 @@ import json
 import pathlib
 import typing
 
-import jax.numpy as jnp
 import numpy as np
 
 from .cache import cache_folder, is_own, make_folder
 from .kept import of_this_package
+from .materials import energy_on, field_on
 from .membrane import Membrane
 
 __all__ = ["cached_path", "fingerprint", "keep", "kept_or_none", "read_archive", "same_fingerprint", "write_archive"]
@@ -70,10 +70,8 @@ def fingerprint(membrane: Membrane) -> np.ndarray:
     rim, high = float(membrane.prestretch), membrane.lock_up_stretch()[0]
     l1 = 1 + (high - 1) * np.array([0.05, 0.2, 0.35, 0.5, 0.65, 0.8, 0.93])
     l2 = l1[[2, 0, 1, 4, 3, 6, 5]]
-    probes = [membrane.material.energy(jnp.asarray(l1), jnp.asarray(v)) for v in (l1, l2)]
-    return np.concatenate(
-        [[rim, high], *map(np.asarray, probes), np.asarray(membrane.breakdown.field(jnp.asarray(l1)))]
-    )
+    probes = [energy_on(membrane.material, l1, v) for v in (l1, l2)]
+    return np.concatenate([[rim, high], *probes, field_on(membrane.breakdown, l1)])
 
 
 def cached_path(folder_name: str, kind: str, membrane: Membrane, own: np.ndarray, tolerance: float):

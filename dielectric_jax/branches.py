@@ -10,7 +10,7 @@ import numpy as np
 
 from .chart import Scan, cached_scan, map_nodes
 from .contours import OnSurface, margins, surface_branches
-from .equilibria import SCALE, largest_on, locking_stretch
+from .equilibria import SCALE, locking_stretch
 from .loading import Contour
 from .materials import largest_load
 from .membrane import Membrane
@@ -30,7 +30,7 @@ _DEAR = 0.6  # load fraction near lock-up from which continuation takes most of 
 def _on_chart(membrane: Membrane, u: np.ndarray) -> np.ndarray:
     """Points (n, 3) as (λa, t) in tenths of the chart's extent, in which branches are told apart."""
     span = membrane.lock_up_stretch()[0] - float(membrane.prestretch)
-    fraction = u[:, 2] / largest_on(membrane.material, u[:, 0])
+    fraction = u[:, 2] / largest_load(membrane.material, u[:, 0])
     return 10 * np.stack([(u[:, 0] - float(membrane.prestretch)) / span, fraction], axis=1)
 
 
@@ -218,7 +218,7 @@ def _confirmed(membrane, contour: Contour, vertices: np.ndarray) -> np.ndarray:
     Near lock-up at a high load the chart has a cliff that the scan's interpolation may miss by much.
     """
     vertices = vertices[:: max(1, len(vertices) // 40)]
-    apex, limit = vertices[:, 0], largest_on(membrane.material, vertices[:, 0])
+    apex, limit = vertices[:, 0], largest_load(membrane.material, vertices[:, 0])
     rim = float(membrane.prestretch)
 
     def value(load):

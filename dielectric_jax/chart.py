@@ -21,7 +21,7 @@ from scipy.interpolate import make_interp_spline
 from .elementary import sine_cosine
 from .kept import kept_jit
 from .loading import Contour
-from .materials import AbstractMaterial, capacitance, largest_load, stresses
+from .materials import AbstractMaterial, capacitance, is_concrete, largest_load, stresses
 from .membrane import Membrane, apex_series, slopes
 from .programs import threads
 from .scene import SCANNED_LOAD
@@ -52,6 +52,13 @@ def explicit_map(material: AbstractMaterial, apex_stretch, voltage_squared, pres
     >>> round(float(p), 8), round(float(v), 7), bool(slope < 0)
     (1.90868483, 2.9634068, True)
     """
+    given = material, apex_stretch, voltage_squared, prestretch, steps
+    if all(map(is_concrete, jax.tree.leaves(given))):
+        return _MAPS[outputs](*given)
+    return _map(*given, outputs)
+
+
+def _map(material: AbstractMaterial, apex_stretch, voltage_squared, prestretch, steps, outputs: bool):
     apex, q, rim = jnp.broadcast_arrays(*(jnp.asarray(v, float) for v in (apex_stretch, voltage_squared, prestretch)))
     one = jnp.ones_like(apex)
     a, b, kappa = apex_series(material, apex, one, q)
@@ -92,6 +99,16 @@ def explicit_map(material: AbstractMaterial, apex_stretch, voltage_squared, pres
     pressure = jnp.exp(end[0])
     found = pressure, end[3] / pressure**3, end[4]
     return (*found, (end[5] / pressure, end[6] / pressure**2, end[7] / pressure**2)) if outputs else found
+
+
+def _map_program(outputs: bool):
+    def explicit_map(material, apex_stretch, voltage_squared, prestretch, steps):
+        return _map(material, apex_stretch, voltage_squared, prestretch, steps, outputs)
+
+    return kept_jit(explicit_map)
+
+
+_MAPS = {outputs: _map_program(outputs) for outputs in (False, True)}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -350,7 +367,7 @@ def scan(membrane: Membrane, stretches, loads, refinement: int = _REFINEMENT) ->
     return Scan(
         apex,
         fine_t,
-        np.asarray(largest_load(membrane.material, apex)),
+        largest_load(membrane.material, apex),
         np.exp(field[0]) * (1 - fine_t),
         np.exp(field[1]),
     )

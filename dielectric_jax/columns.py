@@ -12,6 +12,7 @@ import numpy as np
 
 from .diagram import Diagram
 from .ensemble import Ramps, ramps_of
+from .materials import field_on
 from .outcomes import FoldAhead, Outcome, Regime
 from .ramp import ENDS
 from .records import State
@@ -240,7 +241,7 @@ def answer_of_diagram(diagram: Diagram) -> dict[str, np.ndarray]:
     law = diagram.scene.membrane.breakdown
 
     def breakdown_load(apex):
-        return (np.asarray(law.field(np.nan_to_num(apex, nan=2.0))) / apex**2) ** 2
+        return (field_on(law, np.nan_to_num(apex, nan=2.0)) / apex**2) ** 2
 
     reach = np.full((1, 2), np.nan)
     if branch:

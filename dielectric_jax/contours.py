@@ -21,7 +21,6 @@ from .equilibria import (
     Points,
     Shooting,
     difficulty,
-    largest_on,
     load_fraction,
     locking_stretch,
 )
@@ -32,7 +31,7 @@ from .membrane import Membrane, field_ratio_squared
 from .programs import run_chunks, value_program
 from .results import Code
 from .scene import SCANNED_LOAD
-from .surface import ById, Surface
+from .surface import ById, Surface, pressure_and_volume
 
 __all__ = ["OnSurface", "margins", "surface_branches"]
 
@@ -207,9 +206,8 @@ def _grid_of(key: ById):
     apex = rim + (high - rim) * np.linspace(1e-3, 1.0, _GRID[0]) ** 2
     apex[-1] = high
     load = np.linspace(float(surface.load_edges[0]), min(float(surface.load_edges[-1]), SCANNED_LOAD), _GRID[1])
-    evaluate = jax.jit(lambda s, a, t: s.at_load_fraction(a, t, ("pressure", "volume")))
-    p, v = (np.asarray(w) for w in evaluate(surface, apex[:, None], load[None]))
-    return apex, load, p, v, largest_on(surface.membrane.material, apex)
+    p, v = pressure_and_volume(surface, apex[:, None], load[None])
+    return apex, load, p, v, largest_load(surface.membrane.material, apex)
 
 
 def _longest_run(good: np.ndarray) -> np.ndarray:
@@ -231,8 +229,8 @@ def surface_lines(solver: OnSurface) -> list[tuple[np.ndarray, np.ndarray]]:
         places = np.linspace(0.0, gap[-1], min(_VERTICES, max(4, len(line))))
         j, i = (np.interp(places, gap, line[:, k]) for k in (0, 1))
         a, t = np.interp(i, rows, apex), np.interp(j, columns, load)
-        q = t * largest_on(solver.membrane.material, a)
-        u = np.stack([a, solver.surface.at_load_fraction(a, t, ("pressure",))[0], q])
+        q = t * largest_load(solver.membrane.material, a)
+        u = np.stack([a, pressure_and_volume(solver.surface, a, t)[0], q])
         way = np.gradient(u / SCALE[:, None], axis=1)
         normal = (way / np.linalg.norm(way, axis=0)).T
         rows_ = normal / SCALE
@@ -332,7 +330,7 @@ def _edge(solver: OnSurface, u: np.ndarray, box: np.ndarray) -> Code:
 def _windowed(solver: OnSurface, line: tuple, box: np.ndarray) -> list[tuple]:
     """The runs of a line inside the window, each with the first point outside at either end."""
     u, tangents = line
-    fraction = u[:, 2] / largest_on(solver.membrane.material, u[:, 0])
+    fraction = u[:, 2] / largest_load(solver.membrane.material, u[:, 0])
     inside = (u[:, 0] >= box[0]) & (u[:, 0] <= box[1]) & (fraction >= box[2]) & (fraction <= box[3])
     edges = np.flatnonzero(np.diff(np.concatenate([[0], inside.view(np.int8), [0]])))
     runs = [slice(max(a - 1, 0), b + 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]

@@ -17,10 +17,10 @@ from jaxtyping import Array, Float, Int
 
 from .batch import ByLeaves
 from .engines import AbstractEngine, ByShooting, OnSheet
-from .equilibria import difficulty, largest_on, locking_stretch
+from .equilibria import difficulty, locking_stretch
 from .leaves import Scenes
 from .loading import Chamber, ConstantPressure, ConstantVoltage
-from .materials import is_concrete
+from .materials import is_concrete, largest_load
 from .membrane import field_ratio_squared
 from .points import (
     BREAKDOWN,
@@ -129,7 +129,7 @@ def _steps(scenes: Scenes, found, surface: Surface | None) -> np.ndarray:
     for key, own in groups.items():
         own = slice(None) if surface is not None else own
         apex, q = np.nan_to_num(found[own, :, 0], nan=2.0), np.nan_to_num(found[own, :, 2])
-        fraction = q / largest_on(key.membrane.material, apex.ravel()).reshape(apex.shape)
+        fraction = q / largest_load(key.membrane.material, apex.ravel()).reshape(apex.shape)
         steps[own] = _STEPS[difficulty(locking_stretch(key.membrane), apex, fraction)]
     return steps
 

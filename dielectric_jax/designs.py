@@ -17,6 +17,7 @@ from .batch import ByLeaves, continue_scenes
 from .ensemble import Ramps, chamber_ramps, pressure_ramps
 from .family import SurfaceFamily
 from .loading import Chamber, ConstantPressure
+from .materials import field_on
 from .membrane import Membrane
 from .outcomes import Regime
 from .regimes import regime_of
@@ -81,7 +82,7 @@ def sheet_over(scene: Scene, over: dict, given: typing.Any) -> Surface | Surface
     # the law decides how far the surface goes: the strongest of the corners'
     corners = [dict(zip(over, values, strict=True)) for values in itertools.product(*over.values())]
     films = [scene.replace(**corner).membrane for corner in corners]
-    return _built(ByLeaves.of(max(films, key=lambda film: float(film.breakdown.field(_TYPICAL)))))
+    return _built(ByLeaves.of(max(films, key=lambda film: float(field_on(film.breakdown, _TYPICAL)))))
 
 
 def surface_for(membrane: Membrane, given: typing.Any) -> Surface:
@@ -103,17 +104,17 @@ def surface_for(membrane: Membrane, given: typing.Any) -> Surface:
     return _with_law(ById(found), ByLeaves.of(membrane))
 
 
-@functools.lru_cache(maxsize=128)
+@functools.lru_cache(maxsize=64)  # 2 MB each
 def _section(family: ById, key: ByLeaves) -> Surface:
     return family.value.surface(float(key.membrane.prestretch))
 
 
-@functools.lru_cache(maxsize=64)
+@functools.lru_cache(maxsize=32)
 def _built(key: ByLeaves) -> Surface:
     return Surface.build(key.membrane)
 
 
-@functools.lru_cache(maxsize=256)
+@functools.lru_cache(maxsize=64)
 def _with_law(surface: ById, key: ByLeaves) -> Surface:
     """The same sheet under another breakdown law."""
     return dataclasses.replace(surface.value, membrane=key.membrane)

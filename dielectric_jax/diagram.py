@@ -21,7 +21,7 @@ from .loading import (
     control_of,
     mechanical,
 )
-from .materials import largest_load
+from .materials import field_on, largest_load
 from .membrane import Membrane
 from .plotting import plot_diagram
 from .ramp import build_ramp, build_way_back, flat_ramp
@@ -324,7 +324,7 @@ def _flat_diagram(scene: Scene, limits, points: int, tolerance: float) -> Diagra
     branch = Branch(
         **columns, start=Code.window_load, end=Code.window_load, flags=("ends_slack",) if ends_slack else ()
     )
-    limit = float(membrane.breakdown.field(stretch)) ** 2 / stretch**4
+    limit = float(field_on(membrane.breakdown, stretch)) ** 2 / stretch**4
     marks = [("zero_voltage", 0.0)] if low <= 0 <= high else []
     marks += [("breakdown", limit)] if limit <= min(high, 1.0) * slack else []
     marks += [("slack", slack)] if ends_slack else []

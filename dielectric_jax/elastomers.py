@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .kept import elementwise
 from .materials import (
     AbstractDielectric,
     AbstractMaterial,
@@ -137,10 +138,10 @@ class Ogden(AbstractMaterial):
         return 12 * prestretch, False
 
 
-@jax.jit
+@elementwise
 def _sound(material: AbstractDielectric, stretch):
     """Where e > 0 and C rises with equal-biaxial stretch, so that a voltage pulls the membrane wider."""
-    rise = jax.vmap(jax.grad(lambda s: capacitance(material, s, s)))(stretch)
+    rise = jax.jvp(lambda s: capacitance(material, s, s), (stretch,), (jnp.ones_like(stretch),))[1]
     return (material.permittivity(stretch, stretch) > 0) & (rise > 0)
 
 
@@ -158,7 +159,7 @@ class _Dielectric(AbstractDielectric):
     def lock_up_stretch(self, prestretch):
         limit, locks = self.elastic.lock_up_stretch(prestretch)
         stretch = np.linspace(1.0, limit, 1024)
-        bad = np.flatnonzero(~np.asarray(_sound(self, jnp.asarray(stretch))))
+        bad = np.flatnonzero(~_sound(self, stretch))
         if not len(bad):
             return limit, locks
         # the chart needs a load at which the apex goes slack: the window ends before C falls

@@ -24,10 +24,12 @@ __all__ = [
     "marks",
     "node_points",
     "pack",
+    "padded",
     "points",
     "read",
     "refine",
     "unit_place",
+    "used",
 ]
 
 NODES = (16, 20, 16)  # of an element, along its axes
@@ -171,6 +173,24 @@ def refine(sampler: Sampler, todo: list[Task], tolerance: float) -> list[Element
 def marks(low: float, inner, high: float, gap: float) -> list[tuple[float, float]]:
     """The intervals from `low` to `high` between the `inner` marks that lie at least `gap` inside."""
     return list(itertools.pairwise([low, *(x for x in inner if low + gap < x < high - gap), high]))
+
+
+def padded(edges: list[np.ndarray], arrays: list[np.ndarray], block: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """What `pack` gives, with edges and elements to multiples of `block`: sizes that most share, as programs have sizes.
+
+    The last edge, its cells and the last element are repeated, so that the domain and every value stay what they are.
+    """
+    more = [-len(v) % block for v in edges]
+    cells, *columns = arrays
+    rest = -len(columns[0]) % block
+    edges = [np.pad(v, (0, n), mode="edge") for v, n in zip(edges, more, strict=True)]
+    columns = [np.pad(v, ((0, rest), *((0, 0),) * (v.ndim - 1)), mode="edge") for v in columns]
+    return edges, [np.pad(cells, [(0, n) for n in more], mode="edge"), *columns]
+
+
+def used(cells) -> np.ndarray:
+    """The numbers of the elements that cover a cell."""
+    return np.unique(np.asarray(cells)[np.asarray(cells) >= 0])
 
 
 def pack(elements: list[Element]) -> tuple[list[np.ndarray], list[np.ndarray]]:

@@ -29,7 +29,7 @@ from .programs import (
 from .scene import SCANNED_LOAD
 from .stability import control_rate, index_of
 
-__all__ = ["Points", "Shooting", "largest_on", "load_fraction", "locking_stretch", "polish"]
+__all__ = ["Points", "Shooting", "load_fraction", "locking_stretch", "polish"]
 
 SCALE = np.array([1.0, 0.2, 0.02])  # of (λa, p, q)
 # steps: of Newton, then of the residual; where an inner layer forms (a high load near lock-up, or near the cone) Newton
@@ -180,14 +180,7 @@ def difficulty(locks_from, apex_stretch: np.ndarray, load_fraction: np.ndarray) 
 
 def load_fraction(membrane: Membrane, u: np.ndarray) -> np.ndarray:
     """t = q/q_max(λa) of points (3, lanes)."""
-    return u[2] / largest_on(membrane.material, np.nan_to_num(u[0], nan=2.0))
-
-
-def largest_on(material, apex: np.ndarray) -> np.ndarray:
-    """q_max(λa) of any number of points through one compiled shape."""
-    padded = np.pad(apex, (0, -len(apex) % 512), mode="edge")
-    parts = [np.asarray(largest_load(material, padded[i : i + 512])) for i in range(0, len(padded), 512)]
-    return np.concatenate(parts)[: len(apex)]
+    return u[2] / largest_load(membrane.material, np.nan_to_num(u[0], nan=2.0))
 
 
 def polish(

@@ -7,6 +7,7 @@ and hands out the surface of any of them in a fraction of a second.
 import dataclasses
 import functools
 import math
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -27,28 +28,42 @@ from .elements import (
     locate,
     node_points,
     pack,
+    padded,
     read,
     refine,
     unit_place,
+    used,
 )
+from .kept import elementwise
 from .materials import AbstractBreakdown, AbstractMaterial, VHBBreakdown, largest_load
 from .membrane import Membrane
 from .results import check_between
 from .sheet import QUANTITIES, edge_factors
-from .surface import BOTTOM, SheetState, Surface, bound_of, check_tolerance, top_load, with_charge
+from .surface import BOTTOM, SheetState, Surface, arrays_of, bound_of, check_tolerance, top_load, with_charge
 from .trajectories import build_trajectory_elements, share_of
 
 __all__ = ["SurfaceFamily"]
 
 _FORMAT = "dielectric_jax surface family 1"
 _ARRAYS = ("apex_edges", "load_edges", "share_edges", "cells", "boxes", "coefficients", "errors")
+_BLOCK = 32  # edges and elements come in multiples of it
 _BATCH = 32  # points that are evaluated together: the polynomials of one take 200 kB
 _FRESH = 12  # points of an element of a section that measure its error
 
 
-@functools.partial(jax.jit, static_argnames="which")
+@functools.cache
+def _program(which: tuple) -> Callable:
+    """`_quantities` of some of them, as a function of a family and points."""
+
+    def quantities(family, apex, t, rim):
+        return _quantities(family, apex, t, rim, which)
+
+    return elementwise(quantities, lanes=_BATCH)
+
+
 def _quantities(family: "SurfaceFamily", apex, t, rim, which):
-    """The quantities `which` at (λa, t, λ0), arrays of one shape; NaN outside the domain."""
+    """The quantities `which` at (λa, t, λ0), elementwise; NaN outside the domain."""
+    apex, t, rim = jnp.broadcast_arrays(*(jnp.asarray(v, float) for v in (apex, t, rim)))
     element = family.locate(apex, t, rim)
     inside = element >= 0
     apex = jnp.where(inside, apex, rim + 1)
@@ -130,8 +145,8 @@ class SurfaceFamily(eqx.Module):
         elements = build_trajectory_elements(material, (low, high), BOTTOM, top, tolerance)
         if not elements:
             raise ValueError(f"`tolerance` must be looser for this material: no part was met to {tolerance:g}.")
-        edges, arrays = pack(elements)
-        parts = map(jnp.asarray, (*edges, *arrays))
+        edges, arrays = padded(*pack(elements), _BLOCK)
+        parts = map(jax.device_put, (*edges, *arrays))
         family = cls(material, breakdown, *parts, prestretch=(low, high), tolerance=tolerance)
         keep(family.save, path)
         return family
@@ -152,18 +167,16 @@ class SurfaceFamily(eqx.Module):
 
     def at_load_fraction(self, apex_stretch, load_fraction, prestretch, wanted: tuple = QUANTITIES):
         """The `wanted` quantities at (λa, t, λ0): a list of arrays of one shape; NaN outside the domain."""
-        apex, t, rim = jnp.broadcast_arrays(*(jnp.asarray(v, float) for v in (apex_stretch, load_fraction, prestretch)))
         which = tuple(QUANTITIES.index(name) for name in wanted)
-        return list(_quantities(self, apex, t, rim, which))
+        return list(_program(which)(self, apex_stretch, load_fraction, prestretch))
 
     def __call__(self, apex_stretch, voltage_squared, prestretch) -> SheetState:
         """The state at (λa, q, λ0), elementwise over arrays of one shape; differentiable to any order in all three."""
-        q = jnp.asarray(voltage_squared, float)
-        return with_charge(self.at_load_fraction(apex_stretch, self._fraction(apex_stretch, q), prestretch), q)
+        return arrays_of(_state(self, apex_stretch, voltage_squared, prestretch))
 
     def covers(self, apex_stretch, voltage_squared, prestretch):
         """Whether the domain holds the states (λa, q, λ0)."""
-        return self._element(apex_stretch, voltage_squared, prestretch) >= 0
+        return _covered(self, apex_stretch, voltage_squared, prestretch)
 
     def error_bound(self, apex_stretch, voltage_squared, prestretch):
         """The bound of the relative error |error|/max(|value|, 1e-3) at (λa, q, λ0); inf outside the domain.
@@ -171,14 +184,7 @@ class SurfaceFamily(eqx.Module):
         It is that of the states of the stretches as given: closer to the flat membrane than λa − λ0 = 1e-5 the last digit of
         the stretches moves a state by more.
         """
-        return bound_of(self.errors, self._element(apex_stretch, voltage_squared, prestretch))
-
-    def _fraction(self, apex_stretch, voltage_squared):
-        return voltage_squared / largest_load(self.material, apex_stretch)
-
-    def _element(self, apex_stretch, voltage_squared, prestretch):
-        apex, rim = jnp.asarray(apex_stretch, float), jnp.asarray(prestretch, float)
-        return self.locate(apex, self._fraction(apex, voltage_squared), rim)
+        return _bound(self, apex_stretch, voltage_squared, prestretch)
 
     def surface(self, prestretch: float) -> Surface:
         """The `Surface` of one prestretch, from these polynomials instead of shots.
@@ -188,8 +194,9 @@ class SurfaceFamily(eqx.Module):
         """
         rim = float(prestretch)
         check_between("prestretch", rim, *self.prestretch, what="the range of the family")
-        boxes = np.asarray(self.boxes).reshape(-1, 3, 2)
-        polynomials, errors = np.asarray(self.coefficients), np.asarray(self.errors)
+        own = used(self.cells)
+        boxes = np.asarray(self.boxes)[own].reshape(-1, 3, 2)
+        polynomials, errors = np.asarray(self.coefficients)[own], np.asarray(self.errors)[own]
         sources = [
             Element(tuple((low, high) for low, high in box.tolist()), c, math.inf, float(error))
             for box, c, error in zip(boxes, polynomials, errors, strict=True)
@@ -220,13 +227,36 @@ class SurfaceFamily(eqx.Module):
             raise ValueError(
                 f"`material` and `breakdown` must be those the family was built for, but {str(path)!r} is another's."
             )
-        parts = (jnp.asarray(arrays[name]) for name in _ARRAYS)
+        own = [arrays[name] for name in _ARRAYS]
+        edges, rest = padded(own[:3], own[3:], _BLOCK)
+        parts = map(jax.device_put, (*edges, *rest))
         return cls(material, breakdown, *parts, prestretch=(low, high), tolerance=float(header["tolerance"]))
 
     def __repr__(self) -> str:
         worst = float(np.max(np.asarray(self.errors)))
         low, high = self.prestretch
-        return f"SurfaceFamily({len(self.errors)} elements, prestretch={low:g} to {high:g}, error {worst:.1e})"
+        return f"SurfaceFamily({len(used(self.cells))} elements, prestretch={low:g} to {high:g}, error {worst:.1e})"
+
+
+@functools.partial(elementwise, lanes=_BATCH)
+def _state(family: SurfaceFamily, apex, q, rim) -> tuple:
+    t = q / largest_load(family.material, apex)
+    return tuple(with_charge(family.at_load_fraction(apex, t, rim), jnp.asarray(q, float)))
+
+
+def _element(family: SurfaceFamily, apex, q, rim):
+    apex, rim = jnp.asarray(apex, float), jnp.asarray(rim, float)
+    return family.locate(apex, q / largest_load(family.material, apex), rim)
+
+
+@elementwise
+def _covered(family: SurfaceFamily, apex, q, rim):
+    return _element(family, apex, q, rim) >= 0
+
+
+@elementwise
+def _bound(family: SurfaceFamily, apex, q, rim):
+    return bound_of(family.errors, _element(family, apex, q, rim))
 
 
 def _check_range(prestretch) -> tuple[float, float]:

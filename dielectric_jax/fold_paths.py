@@ -3,6 +3,7 @@
 import functools
 import math
 import typing
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -11,9 +12,11 @@ from scipy.optimize import brentq
 
 from .critical_points import Found, find, start_of
 from .engines import ByShooting
-from .equilibria import SCALE, difficulty, largest_on, locking_stretch
+from .equilibria import SCALE, difficulty, locking_stretch
+from .kept import kept_jit
 from .load_lines import zero_states
 from .loading import Chamber, ConstantPressure, ConstantVoltage
+from .materials import largest_load
 from .membrane import field_ratio_squared
 from .points import BREAKDOWN, PRESSURE, PRESSURE_FOLD, VOLUME, Conditions, Solution, linearised
 from .results import SceneError
@@ -58,7 +61,16 @@ class _NoFilling(Lost):
     """No state near the last one fills the chamber."""
 
 
-@functools.partial(jax.jit, static_argnames="name")
+@functools.cache
+def _conditions_program(name: str) -> Callable:
+    """`_conditions_at` of a parameter, as a program."""
+
+    def conditions_at(scene, start, value):
+        return _conditions_at(name, scene, start, value)
+
+    return kept_jit(conditions_at)
+
+
 def _conditions_at(name: str, scene: Scene, start: Found | None, value):
     """θ at a value of a parameter, from the state that fills the chamber there; and its derivative by the parameter."""
 
@@ -125,7 +137,7 @@ class ConditionsOver:
 
     def _at(self, value: float, steps: float):
         start = self._filled(value, steps) if self.filled else None
-        theta, rate = _conditions_at(self.name, self.scene, start, value)
+        theta, rate = _conditions_program(self.name)(self.scene, start, value)
         rates = [np.ravel(np.asarray(r)) for r in jax.tree.leaves(rate)]
         moving = tuple(k for k, r in enumerate(rates) if np.any(r != 0))
         return theta, moving, np.concatenate([rates[k] for k in moving]) if moving else np.zeros(0)
@@ -206,7 +218,7 @@ class System:
         return value[:3] / size, jacobian / size[:, None], float(value[3])
 
     def _fraction(self, u) -> float:
-        return float(u[2] / largest_on(self.membrane.material, u[:1])[0])
+        return float(u[2] / largest_load(self.membrane.material, u[:1])[0])
 
     def meet(self, z: np.ndarray, row: np.ndarray, target: float, towards, reach=0.3, finer=0) -> Place:
         """The point of the curve with row·z = target near z; its tangent points `towards`. Raises Lost.

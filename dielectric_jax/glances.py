@@ -14,6 +14,7 @@ import numpy as np
 from scipy.interpolate import PPoly, make_interp_spline
 
 from .ensemble import Curves, Ramps, curves_and_ramps, filling_volumes
+from .kept import kept_jit
 from .loading import Chamber, ConstantPressure, ConstantVoltage
 from .outcomes import Outcome, Regime
 from .plotting import plot_diagram
@@ -178,7 +179,7 @@ def _branches(rows: Rows, q, pressure, volume, control) -> list[Branch]:
     return branches
 
 
-@jax.jit
+@kept_jit
 def _breakdown_load(surface: Surface, apex):
     return surface.breakdown_load(apex)
 
@@ -230,7 +231,7 @@ def _events(rows: Rows, ramps: Ramps, outcome: Outcome) -> typing.Iterator[Event
     yield from (Event("end", "down", s, "zero voltage") for s in one["rest"])
 
 
-@jax.jit
+@kept_jit
 def _sheet(surface: Surface, apex, q):
     """p, V, the bound of their error, and E/E_EB at (λa, q)."""
     state = surface(apex, q)
@@ -238,7 +239,7 @@ def _sheet(surface: Surface, apex, q):
     return state.pressure, state.volume, surface.error_bound(apex, q), ratio
 
 
-@jax.jit
+@kept_jit
 def _met(surface: Surface, apex, q):
     """From λa near the extremes of p at q, and near breakdown: those λa by Newton's method, of one shape each."""
 

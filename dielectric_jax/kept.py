@@ -1,26 +1,38 @@
-"""Programs whose trace is kept in the cache folder: a later process neither traces nor compiles them."""
+"""Compiled programs: the last ones used stay in memory, and their traces in the cache folder.
 
+A program belongs to a function and to the kind and shapes of its arguments; numbers are arguments. A process that sees many
+kinds of material would otherwise fill its memory: one program takes up to 30 MB and 500 memory maps.
+"""
+
+import collections
 import contextlib
+import ctypes
 import functools
 import hashlib
 import importlib.metadata
+import inspect
 import os
 import pathlib
 import threading
+import typing
+import zlib
 from collections.abc import Callable
 
 import jax
 import jax.core
 import jax.export
 import numpy as np
+from jax.experimental import serialize_executable
 
 from .cache import enabled_folder, is_own, make_folder, write_own
 
-__all__ = ["kept_jit", "of_this_package", "source_digest"]
+__all__ = ["elementwise", "kept_jit", "of_this_package", "source_digest"]
 
 # the widest vectors that the processor has; XLA would take half of them on many
-_OPTIONS = {"xla_cpu_prefer_vector_width": 512}
+_OPTIONS: typing.Any = {"xla_cpu_prefer_vector_width": 512}
 _PACKAGE = __name__.split(".")[0]
+_MOST_LIVE = 20e6  # bytes of optimised programs in XLA's own format; in memory a program takes some forty times its own
+_MOST_SHELVED = 100e6  # bytes of packed programs, some 0.3 MB each
 
 
 def of_this_package(value) -> bool:
@@ -55,54 +67,189 @@ def _versions() -> bytes:
     return digest.digest()
 
 
-def kept_jit(function: Callable) -> Callable:
-    """`jax.jit(function)`, whose trace is kept in the cache folder while the cache is enabled.
+class _Live:
+    """A program that is being made, or is there."""
 
-    Kept are traces for arguments `of_this_package`; others, and calls inside a transformation, go through `jax.jit`. The
-    result of `function` is made of tuples, lists and arrays.
+    def __init__(self):
+        self.lock = threading.Lock()
+        self.program: Callable | None = None
+        self.size = 0
+
+
+class Programs:
+    """The programs used last, within a total size; others are packed if that is possible, or made anew when asked for."""
+
+    def __init__(self, most_live: float = _MOST_LIVE, most_shelved: float = _MOST_SHELVED):
+        self.most_live, self.most_shelved = most_live, most_shelved
+        self._live: collections.OrderedDict = collections.OrderedDict()
+        self._shelf: collections.OrderedDict = collections.OrderedDict()
+        self._lock = threading.Lock()
+
+    def of(self, key, make: Callable) -> Callable:
+        """The program of a key, which `make()` compiles where it is neither alive nor packed."""
+        with self._lock:
+            live = self._live.get(key)
+            if live is None:
+                live = self._live[key] = _Live()
+            else:
+                self._live.move_to_end(key)
+        program = live.program
+        if program is None:
+            with live.lock:
+                program = live.program
+                if program is None:
+                    program = live.program = self._unpacked(key) or make()
+                    self._admit(live, _size(program))
+        return program
+
+    def count(self) -> int:
+        """How many programs are alive."""
+        return len(self._live)
+
+    def _admit(self, live: _Live, size: int) -> None:
+        """Counts a new program, and takes out those used longest ago."""
+        with self._lock:
+            live.size = size
+            total = sum(other.size for other in self._live.values())
+            old = []
+            for key, other in self._live.items():
+                if total <= self.most_live:
+                    break
+                if other is not live and other.size:
+                    old.append(key)
+                    total -= other.size
+            out = [(key, self._live.pop(key).program) for key in old]
+        for key, program in out:
+            self._pack(key, program)
+        del out
+        _return_memory()
+
+    def _pack(self, key, program) -> None:
+        # what JAX's own cache holds is read from there, and what came from there cannot be packed: its code is missing
+        if key in self._shelf or _setting("jax_compilation_cache_dir"):
+            return
+        with contextlib.suppress(Exception):  # some backends cannot
+            content, *trees = serialize_executable.serialize(program)
+            with self._lock:
+                self._shelf[key] = zlib.compress(content, 1), *trees
+                while sum(len(packed[0]) for packed in self._shelf.values()) > self.most_shelved:
+                    self._shelf.popitem(last=False)
+
+    def _unpacked(self, key) -> Callable | None:
+        packed = self._shelf.get(key)
+        if packed is None:
+            return None
+        content, *trees = packed
+        return serialize_executable.deserialize_and_load(zlib.decompress(content), *trees)
+
+
+def _setting(name: str) -> typing.Any:
+    """A setting of JAX as it is in this thread."""
+    return getattr(jax.config, name)
+
+
+def _size(program) -> int:
+    """The size of a program in XLA's own format, in bytes."""
+    modules = program.runtime_executable().hlo_modules()
+    return sum(len(module.as_serialized_hlo_module_proto()) for module in modules)
+
+
+def _return_memory() -> None:
+    """Gives back to the system what the compiler has freed: 0.3 GB after a large program, which glibc would keep."""
+    with contextlib.suppress(AttributeError, OSError, TypeError):
+        ctypes.CDLL(None).malloc_trim(0)
+
+
+_PROGRAMS = Programs()
+
+
+def kept_jit(function: Callable) -> Callable:
+    """`jax.jit(function)`, of whose programs the last ones used are kept in memory, and traces in the cache folder.
+
+    The folder holds, while the cache is enabled, traces for arguments `of_this_package`. Inside a transformation it is
+    `jax.jit`. The result of `function` is made of tuples, lists and arrays.
     """
     plain = jax.jit(function)  # inside other programs no options are allowed
-    direct = jax.jit(function, compiler_options=_OPTIONS)
-    programs: dict = {}
-    lock = threading.Lock()
 
     @functools.wraps(function)
     def call(*args):
-        folder = enabled_folder()
         leaves, tree = jax.tree.flatten(args)
         if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
             return plain(*args)
-        if folder is None:
-            return direct(*args)
+        folder = enabled_folder()
         arrays = [leaf if hasattr(leaf, "dtype") else np.asarray(leaf) for leaf in leaves]
-        key = tree, tuple((leaf.shape, leaf.dtype) for leaf in arrays)
-        with lock:
-            entry = programs.setdefault(key, {"lock": threading.Lock()})
-        with entry["lock"]:
-            if "program" not in entry:
-                entry["program"] = _kept(plain, folder / "programs", key) if of_this_package(args) else None
-        return direct(*args) if entry["program"] is None else entry["program"](*arrays)
+        shapes = tuple((leaf.shape, leaf.dtype) for leaf in arrays)
+        key = function, folder, _setting("jax_default_device"), tree, shapes
+
+        def make():
+            own = folder / "programs" if folder is not None and of_this_package(args) else None
+            return _compiled(function, tree, shapes, own)
+
+        return _PROGRAMS.of(key, make)(*arrays)
 
     return call
 
 
-def _kept(plain, folder: pathlib.Path, key) -> Callable | None:
-    """The program as a function of the leaves of its arguments, read or traced and written; None where it cannot be."""
-    tree, shapes = key
-    name = hashlib.sha256(_versions() + repr((plain.__name__, str(tree), shapes)).encode()).hexdigest()[:32]
-    path = folder / f"{plain.__name__.strip('_')}-{name}"
+def elementwise(function: Callable, *, lanes: int = 512) -> Callable:
+    """`function(module, *values)` of numbers and arrays of any shapes, elementwise, by one compiled program of so many lanes.
+
+    Results are arrays of NumPy, of the common shape of the values, and further axes of the function before it. Inside a
+    transformation it is `jax.jit(function)`.
+    """
+    plain, program = jax.jit(function), kept_jit(function)
+    names = list(inspect.signature(function).parameters)
+
+    @functools.wraps(function)
+    def call(*args, **named):
+        args = (*args, *(named[name] for name in names[len(args) :] if name in named))
+        if len(args) != len(names) or any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(args)):
+            return plain(*args)
+        module, *values = args
+        given = np.broadcast_arrays(*(np.asarray(v, float) for v in values))
+        shape, count = given[0].shape, given[0].size
+        flat = np.ones((len(given), max(count + -count % lanes, lanes)))
+        flat[:, :count] = [v.ravel() for v in given]
+        flat[:, count:] = flat[:, count - 1 : count] if count else 1.0
+        parts = [program(module, *flat[:, i : i + lanes]) for i in range(0, flat.shape[1], lanes)]
+
+        def joined(*pieces):
+            whole = np.concatenate([np.asarray(v) for v in pieces], axis=-1)[..., :count]
+            return whole.reshape((*whole.shape[:-1], *shape))
+
+        return jax.tree.map(joined, *parts)
+
+    return call
+
+
+def _compiled(function: Callable, tree, shapes, folder: pathlib.Path | None):
+    """The compiled program of a function of the leaves of its arguments; its trace is read from the folder, or written there."""
+
+    def of_leaves(*leaves):
+        return function(*jax.tree.unflatten(tree, leaves))
+
+    arguments = [jax.ShapeDtypeStruct(*shape) for shape in shapes]
+    exported = None if folder is None else _kept(function.__name__, of_leaves, arguments, folder, (tree, shapes))
+    run = of_leaves if exported is None else exported.call
+
+    def named(*leaves):
+        return run(*leaves)
+
+    named.__name__ = function.__name__
+    return jax.jit(named).lower(*arguments).compile(compiler_options=_OPTIONS)
+
+
+def _kept(name: str, of_leaves: Callable, arguments: list, folder: pathlib.Path, key):
+    """The exported program, read or traced and written; None where it cannot be."""
+    digest = hashlib.sha256(_versions() + repr((name, str(key[0]), key[1])).encode()).hexdigest()[:32]
+    path = folder / f"{name.strip('_')}-{digest}"
     own = is_own(folder)  # what others may have written is neither run nor joined
     with contextlib.suppress(OSError, ValueError):
         content = path.read_bytes() if own and is_own(path) else b""
         digest, content = content[:32], content[32:]
         if hashlib.sha256(content).digest() == digest:
-            return jax.jit(jax.export.deserialize(bytearray(content)).call, compiler_options=_OPTIONS)
-
-    def of_leaves(*leaves):
-        return plain(*jax.tree.unflatten(tree, leaves))
-
+            return jax.export.deserialize(bytearray(content))
     try:
-        exported = jax.export.export(jax.jit(of_leaves))(*[jax.ShapeDtypeStruct(*shape) for shape in shapes])
+        exported = jax.export.export(jax.jit(of_leaves))(*arguments)
         content = bytes(exported.serialize())
     except (ValueError, NotImplementedError):  # a callback to the host, a result of an unknown class
         return None
@@ -113,4 +260,4 @@ def _kept(plain, folder: pathlib.Path, key) -> Callable | None:
         part = path.with_name(f"{path.name}.{os.getpid()}.{threading.get_ident()}")
         write_own(part, hashlib.sha256(content).digest() + content)
         part.replace(path)
-    return jax.jit(exported.call, compiler_options=_OPTIONS)
+    return exported

@@ -16,8 +16,9 @@ from scipy.optimize import brentq
 from .batch import ByLeaves
 from .chart import map_nodes, stretch_shares
 from .engines import ByShooting
-from .equilibria import SCALE, largest_on
+from .equilibria import SCALE
 from .loading import Chamber, ConstantVoltage, Contour
+from .materials import largest_load
 from .membrane import Membrane
 from .points import CUSP, LEVEL, ONSET, PRESSURE_CUSP, PRESSURE_FOLD, Conditions, correction
 from .results import Code
@@ -39,7 +40,7 @@ class Line:
         self.membrane, self.q = membrane, float(q)
         rim, high = float(membrane.prestretch), membrane.lock_up_stretch()[0]
         apex = rim + (high - rim) * stretch_shares(1e-6, _NODES)
-        t = self.q / largest_on(membrane.material, apex)
+        t = self.q / largest_load(membrane.material, apex)
         p, v, slope = map_nodes(membrane.material, apex, np.clip(t, -20, _MOST_LOAD), rim, _STEPS)
         good = np.isfinite(p) & np.isfinite(v) & (slope < 0) & (t < _MOST_LOAD) & (p > 0)
         # one piece: the longest run of nodes
@@ -231,7 +232,7 @@ def chamber_cusps(membrane: Membrane, loading: Chamber, filled, within: tuple[fl
     extremes merge as q changes, two folds do.
     """
     low, high = within
-    top = float(largest_on(membrane.material, np.array([float(membrane.lock_up_stretch()[0]) * 0.9]))[0])
+    top = float(largest_load(membrane.material, np.array([float(membrane.lock_up_stretch()[0]) * 0.9]))[0])
     loads = np.linspace(-0.3, 1.0, 80) * min(top, 0.05)
     found: list[np.ndarray] = []
     before = None

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .drawing import COLOURS, new_figure
-from .materials import AbstractBreakdown, AbstractMaterial, VHBBreakdown, largest_load, stresses
+from .materials import AbstractBreakdown, AbstractMaterial, VHBBreakdown, field_on, largest_load, stresses
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -105,8 +105,8 @@ def plot_material(
     balloon.set(xlabel="Stretch λ of a spherical balloon", ylabel="Pressure p R₀ / (μH)")
     balloon.set_ylim(bottom=0)
     balloon.legend(frameon=False)
-    held = np.sqrt(np.maximum(np.asarray(largest_load(material, stretch)), 0))
-    broken = np.asarray(breakdown.field(stretch)) / stretch**2
+    held = np.sqrt(np.maximum(largest_load(material, stretch), 0))
+    broken = field_on(breakdown, stretch) / stretch**2
     film.plot(stretch, volt * held, color=COLOURS[0], label="equilibrium of a free film")
     film.plot(stretch, volt * broken, "--", color=COLOURS[5], label="breakdown")
     film.set(xlabel="Stretch λ (equal-biaxial)", ylabel="Voltage Φ / " + ("(H√(μ/ε))" if units is None else "kV"))

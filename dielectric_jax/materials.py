@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 
 from .elementary import log1p, reciprocal
+from .kept import elementwise
 from .results import check_positive
 from .units import VACUUM_PERMITTIVITY, VHB_4910, Scalar, as_scalar, is_concrete
 
@@ -68,6 +69,7 @@ class AbstractDielectric(AbstractMaterial):
         """e(λ1, λ2), elementwise."""
 
 
+@elementwise
 def capacitance(material: AbstractMaterial, l1, l2):
     """C(λ1, λ2) = e (λ1 λ2)², capacitance per reference area in units of ε/H; elementwise."""
     ideal = (l1 * l2) ** 2
@@ -275,7 +277,7 @@ class CustomMaterial(AbstractMaterial):
         return float(self.largest_stretch), False
 
 
-@jax.jit
+@elementwise
 def stresses(material: AbstractMaterial, l1, l2, q):
     """Nominal stresses and their slopes at fixed q: s1, s2, ∂s1/∂λ1, ∂s1/∂λ2.
 
@@ -298,7 +300,7 @@ def stresses(material: AbstractMaterial, l1, l2, q):
     return w1 - q * l1 * l2**2, w2 - q * l1**2 * l2, w11 - q * l2**2, w12 - 2 * q * l1 * l2
 
 
-@jax.jit
+@elementwise
 def largest_load(material: AbstractMaterial, apex_stretch):
     """q_max(λa) = 2 W_1/C_1 at (λa, λa), at which the tension of the apex vanishes; W_1/λa³ where e = 1; elementwise."""
     a = jnp.asarray(apex_stretch, float)
@@ -306,6 +308,18 @@ def largest_load(material: AbstractMaterial, apex_stretch):
     if isinstance(material, AbstractDielectric):
         return tension / (tension - stresses(material, a, a, 1.0)[0])
     return tension / a**3
+
+
+@elementwise
+def energy_on(material: AbstractMaterial, l1, l2):
+    """W(λ1, λ2) of a material, elementwise."""
+    return material.energy(l1, l2)
+
+
+@elementwise
+def field_on(breakdown: "AbstractBreakdown", stretch):
+    """E_EB(λ) of a breakdown law, elementwise."""
+    return breakdown.field(stretch)
 
 
 def check_scale(scale) -> None:

@@ -13,12 +13,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from .elementary import reciprocal, sine_cosine
+from .kept import elementwise
 from .materials import (
     AbstractBreakdown,
     AbstractMaterial,
     ArrudaBoyce,
     Gent,
     VHBBreakdown,
+    field_on,
     largest_load,
     stresses,
 )
@@ -80,7 +82,7 @@ class Membrane(eqx.Module):
         The apex has the largest λ1 λ2, and is the first where λ²/E_EB(λ) does not fall with λ in the window.
         """
         stretch = np.linspace(float(self.prestretch), self.lock_up_stretch()[0], 400)
-        ratio = stretch**2 / np.asarray(self.breakdown.field(jnp.asarray(stretch)))
+        ratio = stretch**2 / field_on(self.breakdown, stretch)
         falls = np.flatnonzero(~(np.diff(ratio) >= -1e-12 * ratio[1:]))
         if falls.size:
             raise ValueError(
@@ -158,6 +160,7 @@ def apex_series(material: AbstractMaterial, apex_stretch, pressure, q):
     return kinematic + 3 * b, b, kappa
 
 
+@elementwise
 def field_ratio_squared(breakdown: AbstractBreakdown, l1, l2):
     """(E/E_EB)² per unit of q: (λ1 λ2 / E_EB(√(λ1 λ2)))²; elementwise."""
     area = l1 * l2

@@ -13,6 +13,7 @@ dθ: so jvp, grad, vmap, and forward mode over either, nest.
 
 import functools
 import typing
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -21,6 +22,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .engines import AbstractEngine, entries, perturbed, towers
+from .kept import kept_jit
 from .loading import Contour
 from .membrane import Membrane, field_ratio_squared
 
@@ -90,7 +92,17 @@ def _equations(kind: str, engine: AbstractEngine, rims, u, theta: Conditions):
 _AXES = np.eye(3)
 
 
-@functools.partial(jax.jit, static_argnames=("kind", "wanted"))
+@functools.cache
+def _program(function: Callable, *fixed) -> Callable:
+    """A function with its first arguments fixed, as a program; there are only so many kinds of points."""
+
+    def program(*args):
+        return function(*fixed, *args)
+
+    program.__name__ = function.__name__.strip("_")
+    return kept_jit(program)
+
+
 def _assemble(kind: str, wanted: tuple, engine, u, theta: Conditions, rims, by_leaf: dict):
     """F and V (k,), and their derivatives by u (k, 3) and by the numbers in the leaves of θ in `wanted` (k, numbers).
 
@@ -126,7 +138,7 @@ def _assemble(kind: str, wanted: tuple, engine, u, theta: Conditions, rims, by_l
 def linearised(kind: str, wanted: tuple, engine: AbstractEngine, u, theta: Conditions):
     """F and V (k,), their derivatives by u (k, 3), and by the numbers in the leaves of θ in `wanted` (k, numbers)."""
     rims, by_leaf = towers(engine, theta.membrane, u, _ORDER.get(kind, 0), wanted)
-    return _assemble(kind, wanted, engine, u, theta, rims, by_leaf)
+    return _program(_assemble, kind, wanted)(engine, u, theta, rims, by_leaf)
 
 
 def _unknowns(kind: str, by_u, by_theta):
@@ -149,7 +161,6 @@ def _solve(matrix, right):
     return inverse @ right
 
 
-@functools.partial(jax.jit, static_argnames=("kind",))
 def _move(kind: str, value, by_u, by_theta):
     return -_solve(_unknowns(kind, by_u, by_theta)[:-1], value[:-1, None])[:, 0]
 
@@ -160,10 +171,9 @@ def correction(kind: str, engine: AbstractEngine, u, theta: Conditions, free: in
     The unknowns are (λa, p, q), or with a `free` leaf of θ (λa, p, leaf) or (λa, p, q, leaf).
     """
     value, by_u, by_theta = linearised(kind, () if free is None else (free,), engine, u, theta)
-    return value[:-1], _move(kind, value, by_u, by_theta), value[-1]
+    return value[:-1], _program(_move, kind)(value, by_u, by_theta), value[-1]
 
 
-@functools.partial(jax.jit, static_argnames=("kind", "free"))
 def _rates(kind: str, free, by_u, by_theta):
     """Derivatives of λa, p, q, V, and of the free parameter, by the other leaves."""
     asked = by_theta if free is None else by_theta[:, :-1]
@@ -177,7 +187,6 @@ def _rates(kind: str, free, by_u, by_theta):
     return jnp.concatenate([of_u, volume, of_free])
 
 
-@functools.partial(jax.jit, static_argnames=("free",))
 def _free_rates(free, by_u, by_theta):
     """Derivatives of what a fold is a fold of, q or the free parameter, by the other leaves: first derivatives only."""
     one, two = by_u[:2, 0], by_u[:2, 1]
@@ -237,7 +246,7 @@ def _(primals, tangents):
     at = _with_free(theta, free, state.free)
     wanted = which if free is None else (*which, free)
     _, by_u, by_theta = linearised(kind, wanted, engine, jnp.stack(state[:3]), at)
-    rates = _rates(kind, free, by_u, by_theta)
+    rates = _program(_rates, kind, free)(by_u, by_theta)
     return state, Solution(*(rates @ _numbers(moves)))
 
 
@@ -259,7 +268,7 @@ def _(primals, tangents):
     wanted = which if free is None else (*which, free)
     # at a given load: the equations without their third
     _, by_u, by_theta = linearised(LEVEL, wanted, engine, jnp.stack(at[:3]), _with_free(theta, free, at.free))
-    rates = _free_rates(free, by_u, by_theta)
+    rates = _program(_free_rates, free)(by_u, by_theta)
     return value, rates @ _numbers(moves)
 
 

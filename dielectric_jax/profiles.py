@@ -5,7 +5,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from .kept import kept_jit
-from .materials import capacitance, stresses
+from .materials import capacitance, energy_on, field_on, stresses
 from .membrane import Membrane, Profile
 from .records import State
 from .shooting import integrate_membrane
@@ -50,13 +50,13 @@ def profile(membrane: Membrane, state: State, *, steps: int = 192) -> Profile:
         flat = np.ones_like(radius)
         zero = np.zeros_like(radius)
         s1, s2 = (apex * float(s) * flat for s in stresses(membrane.material, apex, apex, q)[:2])
-        limit = float(membrane.breakdown.field(apex)) * flat
+        limit = float(field_on(membrane.breakdown, apex)) * flat
         columns = [radius, apex * flat, apex * flat, zero, zero, s1, s2, limit]
     else:
         done, *rest = (np.asarray(v) for v in _profile_program(membrane, apex, p, q, float(steps)))
         columns = [v[done] for v in rest]
         s0 = apex * float(stresses(membrane.material, apex, apex, q)[0])
-        at_apex = [0.0, apex, apex, 0.0, 0.0, s0, s0, float(membrane.breakdown.field(apex))]
+        at_apex = [0.0, apex, apex, 0.0, 0.0, s0, s0, float(field_on(membrane.breakdown, apex))]
         columns = [np.concatenate([[a], v]) for a, v in zip(at_apex, columns, strict=True)]
     radius, l1, l2, theta, z, s1, s2, limit = columns
     field = np.sqrt(q) * l1 * l2 if q >= 0 else None
@@ -79,10 +79,7 @@ def profile(membrane: Membrane, state: State, *, steps: int = 192) -> Profile:
 def _energy_density(membrane: Membrane, shape: Profile) -> np.ndarray:
     """w = W − q C/2 along the membrane."""
     l1, l2 = shape.stretch_1, shape.stretch_2
-    return (
-        np.asarray(membrane.material.energy(l1, l2))
-        - shape.voltage_squared * np.asarray(capacitance(membrane.material, l1, l2)) / 2
-    )
+    return energy_on(membrane.material, l1, l2) - shape.voltage_squared * capacitance(membrane.material, l1, l2) / 2
 
 
 def energy(membrane: Membrane, shape: Profile) -> float:

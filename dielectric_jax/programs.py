@@ -1,5 +1,6 @@
 """The compiled programs of a membrane, each for a fixed number of lanes, and how any number of points goes through them."""
 
+import collections
 import concurrent.futures
 import functools
 import os
@@ -159,7 +160,8 @@ def threads() -> concurrent.futures.ThreadPoolExecutor:
     return concurrent.futures.ThreadPoolExecutor(cores())
 
 
-_compiling: dict = {}
+_compiling: collections.OrderedDict = collections.OrderedDict()
+_MOST_KINDS = 16  # of membranes whose compiling is remembered
 
 
 def compile_ahead(membrane: Membrane, more: tuple[Callable, ...] = ()) -> None:
@@ -175,6 +177,8 @@ def compile_ahead(membrane: Membrane, more: tuple[Callable, ...] = ()) -> None:
         pool = concurrent.futures.ThreadPoolExecutor(len(jobs))
         _compiling[key] = [pool.submit(job) for job in jobs]
         pool.shutdown(wait=False)
+        while len(_compiling) > _MOST_KINDS:
+            _compiling.popitem(last=False)
 
 
 def await_programs(membrane: Membrane) -> None:

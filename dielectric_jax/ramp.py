@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from .equilibria import largest_on
+from .materials import largest_load
 from .outcomes import Outcome
 from .records import Event, Ramp, SpecialPoint, State
 from .scene import SCANNED_LOAD
@@ -79,7 +79,9 @@ def _land(solved, fold, side):
     for other in solved.states_at(solved.control_at(fold)):
         jump = (solved.place(other) - solved.place(fold)) * direction
         same = other.branch == fold.branch and abs(other.position - fold.position) < 1e-4
-        scanned = other.point.u[2, 0] <= SCANNED_LOAD * largest_on(solved.solver.membrane.material, other.point.u[0])[0]
+        scanned = (
+            other.point.u[2, 0] <= SCANNED_LOAD * largest_load(solved.solver.membrane.material, other.point.u[0])[0]
+        )
         if jump > 0 and not same and other.point.index[0] == 0 and scanned:
             found.append((jump, other))
     return min(found, key=lambda f: f[0])[1] if found else None

@@ -9,7 +9,6 @@ bracket. Rows are even in y = √((λa − λ0)/(λ_end − λ0)), in which all 
 that along a contour they may be interpolated between rows.
 """
 
-import dataclasses
 import functools
 import itertools
 
@@ -32,7 +31,6 @@ _TERMS = 16  # of a polynomial on a panel
 _BRACKETS = 6  # on a panel
 _NEWTON = 3
 _SOME = 32  # rows that are evaluated together
-_BLOCK = 128  # edges and elements come in multiples of it
 _ABOVE_BREAKDOWN = 1.2  # loads of a row end here, or with the surface's domain
 
 
@@ -62,7 +60,7 @@ class Conditions(eqx.Module):
 class Rows(eqx.Module):
     """p and V of a surface on its rows, and what an event needs to know of a row.
 
-    `surface` is padded to sizes that most surfaces share, so that one compiled program serves them; `end` is its largest λa.
+    `end` is the largest λa of the surface.
     `polynomials` (rows, panels, 2, terms) hold the monomial coefficients of p and V in the panel's own unit −1…1, highest
     last; `bracket_pressure`, `bracket_volume` (rows, brackets + 1) the values at the ends of the brackets; `bottom`, `top`
     (rows,) the loads t between which a row lies, `largest_load` q_max, `breakdown_load` q_b, `flat_pressure` and
@@ -110,22 +108,6 @@ def _nodes():
     return -np.cos(np.pi * (np.arange(_TERMS) + 0.5) / _TERMS)
 
 
-def _padded(surface: Surface) -> Surface:
-    """The same surface with edges, cells and elements that no state meets."""
-    columns, loads, elements = (-len(v) % _BLOCK for v in (surface.apex_edges, surface.load_edges, surface.errors))
-    edges = [
-        np.pad(v, (0, more), constant_values=np.inf)
-        for v, more in ((surface.apex_edges, columns), (surface.load_edges, loads))
-    ]
-    more = [
-        (v, ((0, elements), *((0, 0),) * (v.ndim - 1))) for v in (surface.boxes, surface.coefficients, surface.errors)
-    ]
-    arrays = [*edges, np.pad(surface.cells, ((0, columns), (0, loads)), constant_values=-1)]
-    arrays += [np.pad(v, widths, mode="edge") for v, widths in more]
-    names = "apex_edges", "load_edges", "cells", "boxes", "coefficients", "errors"
-    return dataclasses.replace(surface, **{name: jnp.asarray(v) for name, v in zip(names, arrays, strict=True)})
-
-
 @kept_jit
 def _values(surface: Surface, apex, load):
     """p and V (2, rows, places) at places t (rows, places) of some rows."""
@@ -139,25 +121,24 @@ def rows_of(key: ById) -> Rows:
     material = surface.membrane.material
     rim, end = float(surface.membrane.prestretch), float(surface.apex_edges[-1])
     apex = rim + (end - rim) * np.linspace(_LOWEST, 1.0, ROWS) ** 2 * (1 - 1e-12)
-    limit = np.asarray(largest_load(material, apex))
+    limit = largest_load(material, apex)
     broken = np.asarray(surface.breakdown_load(apex))
     boxes = np.asarray(surface.boxes)
     covered = [boxes[(boxes[:, 0] <= a) & (a <= boxes[:, 1])] for a in apex]
     bottom = np.array([own[:, 2].min(initial=0.0) for own in covered])
     top = np.array([own[:, 3].max(initial=0.0) for own in covered])
     top = np.minimum(top, _ABOVE_BREAKDOWN * np.nan_to_num(broken / limit, nan=1.0))
-    padded = _padded(surface)
     panels = list(itertools.pairwise(_PANELS))
     inner = [low + (high - low) * (_nodes() + 1) / 2 for low, high in panels]
     ends = [np.linspace(low, high, _BRACKETS + 1)[1:] for low, high in panels]
     shares = np.minimum(np.concatenate([*inner, [0.0], *ends]), 1 - 1e-12)
     load = np.concatenate([bottom[:, None] + (top - bottom)[:, None] * shares, np.zeros((ROWS, 1))], axis=1)
-    parts = [_values(padded, apex[i : i + _SOME], load[i : i + _SOME]) for i in range(0, ROWS, _SOME)]
+    parts = [_values(surface, apex[i : i + _SOME], load[i : i + _SOME]) for i in range(0, ROWS, _SOME)]
     values = np.concatenate([np.asarray(v) for v in parts], axis=1)  # p and V (2, rows, places)
     inside, bracket, flat = np.split(values, [len(panels) * _TERMS, -1], axis=2)
     polynomials, tails = _panel_polynomials(inside.reshape(2, ROWS, len(panels), _TERMS))
     return Rows(
-        surface=padded,
+        surface=surface,
         end=jnp.asarray(end),
         apex_stretch=jnp.asarray(apex),
         bottom=jnp.asarray(bottom),

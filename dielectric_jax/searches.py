@@ -317,9 +317,9 @@ def _settled_fold(scene: Scene, start: np.ndarray, fold: np.ndarray) -> np.ndarr
     move = np.asarray(move)
     if not np.abs(move / SCALE).max() < 1e-3:  # its grid is too coarse for this state
         return fold
-    end = engine.rim(scene.membrane, fold[:3] + move)
+    ((_, volume), *_), _ = towers(engine, scene.membrane, fold[:3] + move, 0, ())
     # the load is the search's: it saw the finer grid
-    return np.array([fold[0] + move[0], fold[1] + move[1], fold[2], float(end[1]), *fold[4:]])
+    return np.array([fold[0] + move[0], fold[1] + move[1], fold[2], float(volume), *fold[4:]])
 
 
 def ramp_events(scenes: Scenes, surface: Surface | None = None, *, alone: bool = True) -> dict[str, np.ndarray]:

@@ -24,7 +24,7 @@ import numpy as np
 from .chart import map_nodes
 from .elementary import sine_cosine
 from .elements import NODES, Element, Sampler, Task, coefficients, fresh_places, marks, node_points, read, refine
-from .kept import kept_jit
+from .kept import elementwise, kept_jit
 from .materials import AbstractMaterial, capacitance, largest_load, stresses
 from .membrane import Membrane, slopes
 from .programs import run_chunks
@@ -85,12 +85,12 @@ def sheet_states(material: AbstractMaterial, apex, load, rim, guess, steps: floa
     All are arrays of shape (n,), or numbers; NaN where a guess was too far.
     """
     apex, load, rim, guess = np.broadcast_arrays(apex, load, rim, guess)
-    limit = run_chunks(lambda part: [largest_load(material, part[0])], np.stack([apex, load, guess]))[0]
-    u = np.stack([apex, guess, load * limit, rim])
+    u = np.stack([apex, guess, load * largest_load(material, apex), rim])
     *values, away = run_chunks(lambda part: _sheet_program(material, part, steps), u)
     return np.where(away < 0.05, np.stack(values), np.nan)
 
 
+@elementwise
 def edge_factors(material: AbstractMaterial, apex, load, rim):
     """What is divided out of each quantity, shape (5, …): the behaviour at the flat membrane and at the cone."""
     m = jnp.sqrt(apex - rim)
@@ -123,7 +123,7 @@ class AbstractBuilder(Sampler):
 
     def factors(self, places: np.ndarray) -> np.ndarray:
         """The edge factors (5, n) at points (axes, n)."""
-        return np.asarray(edge_factors(self.material, places[0], places[1], self.rims(places)))
+        return edge_factors(self.material, places[0], places[1], self.rims(places))
 
     def shots(self, steps: list, places: list, guesses: list) -> list[np.ndarray]:
         """The states at many sets of points, those of equal steps together."""

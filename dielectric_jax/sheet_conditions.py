@@ -128,7 +128,16 @@ def _towers(sheet: Surface | SurfaceFamily, places: np.ndarray) -> list[np.ndarr
     return [np.concatenate(v).reshape(*places.shape[:-1], *v[0].shape[1:]) for v in zip(*parts, strict=True)]
 
 
-@functools.partial(jax.jit, static_argnames=("equations", "names", "segment"))
+@functools.cache
+def _program(equations: Callable, names: tuple, segment: bool) -> Callable:
+    """`_linearised` of some equations, as a program."""
+
+    def linearised(*args):
+        return _linearised(equations, names, segment, *args)
+
+    return kept_jit(linearised)
+
+
 def _linearised(equations, names, segment, scene, towers, places, begin, end, u):
     """Equations and measures (n, …) of designs, and their derivatives by (u, θ)."""
 
@@ -242,6 +251,6 @@ def _evaluated(equations, points, sheet, scene, names, u, begin, end, lanes, far
     for i in range(0, len(u), lanes):
         own = np.minimum(np.arange(i, i + lanes), len(u) - 1)
         args = [t[own] for t in towers], places[own], begin[own], end[own], u[own]
-        found = _linearised(equations, names, end is not begin, scene, *args)
+        found = _program(equations, names, end is not begin)(scene, *args)
         parts.append([np.asarray(v)[: len(u) - i] for v in found])
     return [np.concatenate(v) for v in zip(*parts, strict=True)]

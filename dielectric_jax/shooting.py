@@ -24,7 +24,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .elementary import sine_cosine, softplus
-from .materials import AbstractMaterial, capacitance, stresses
+from .kept import kept_jit
+from .materials import AbstractMaterial, capacitance, is_concrete, stresses
 from .membrane import apex_series, slopes
 
 __all__ = ["Rim", "Shot", "shoot"]
@@ -328,7 +329,15 @@ def shoot(material: AbstractMaterial, apex_stretch, pressure, voltage_squared, *
     >>> bool(abs(jax.grad(lag)(1.9) - (lag(1.9 + 1e-5) - lag(1.9 - 1e-5)) / 2e-5) < 1e-8)
     True
     """
-    return _shoot((material, apex_stretch, pressure, voltage_squared), steps)
+    inputs = material, apex_stretch, pressure, voltage_squared
+    if all(map(is_concrete, jax.tree.leaves((inputs, steps)))):
+        return Rim(*_shoot_program(inputs, steps))
+    return _shoot(inputs, steps)
+
+
+@kept_jit
+def _shoot_program(inputs, steps):
+    return tuple(_shoot(inputs, steps))
 
 
 @eqx.filter_custom_jvp

@@ -11,13 +11,13 @@ from scipy.optimize import root_scalar
 from .chart import cached_scan, map_nodes, stretch_shares
 from .equilibria import Points, polish
 from .loading import Chamber, ConstantPressure, ConstantVoltage, PrescribedVolume, mechanical
-from .materials import as_scalar, capacitance, is_concrete, largest_load
+from .materials import as_scalar, capacitance, field_on, is_concrete, largest_load
 from .membrane import Membrane, require_float64
 from .records import State, voltage_of
 from .results import Code, SceneError, check_positive, shown
 from .scene import Scene, Window
 from .shooting import MOST_STEPS
-from .surface import Surface
+from .surface import Surface, pressure_and_volume
 
 __all__ = ["equilibrium", "filling", "flat_state", "states_of"]
 
@@ -78,7 +78,7 @@ def flat_state(membrane: Membrane, q: float) -> State:
     """λ1 = λ2 = λ0, p = V = 0: charge π Φ C(λ0, λ0), π Φ λ0⁴ where e = 1."""
     stretch = float(membrane.prestretch)
     phi = math.sqrt(q) if q >= 0 else math.nan
-    ratio = phi * stretch**2 / float(membrane.breakdown.field(stretch)) if q >= 0 else math.nan
+    ratio = phi * stretch**2 / float(field_on(membrane.breakdown, stretch)) if q >= 0 else math.nan
     charge = math.pi * phi * float(capacitance(membrane.material, stretch, stretch))
     return State(q, 0.0, 0.0, stretch, 0.0, charge, ratio, 0, 1e-13)
 
@@ -303,7 +303,7 @@ def _line_states(membrane: Membrane, apex, fraction, surface: Surface | None):
     """p, V and the map's mark of validity at points (λa, t): by the surface in its domain, by the explicit map elsewhere."""
     values = np.full((3, len(apex)), np.nan)
     if surface is not None:
-        values[:2] = surface.at_load_fraction(apex, fraction, ("pressure", "volume"))
+        values[:2] = pressure_and_volume(surface, apex, fraction)
         values[2] = -1.0
     rest = ~np.isfinite(values).all(axis=0)
     if rest.any():
@@ -318,7 +318,7 @@ def _towards_cones(membrane, q: float, apex: np.ndarray) -> np.ndarray:
     """The stretches with more of them, geometrically closer, towards those at which q is q_max(λa)."""
 
     def excess(stretch):
-        return q / np.asarray(largest_load(membrane.material, stretch)) - 1
+        return q / largest_load(membrane.material, stretch) - 1
 
     over = excess(apex) >= 0
     more = [apex]
@@ -342,7 +342,7 @@ def _starts(membrane, q, name, wanted, limits, surface=None) -> tuple[np.ndarray
     if name == "apex_stretch":
         apex = np.sort(np.append(apex, wanted))
     apex = _towards_cones(membrane, q, apex)
-    fraction = q / np.asarray(largest_load(membrane.material, apex))
+    fraction = q / largest_load(membrane.material, apex)
     top = min(loads[1], 1 - _CONE)
     inside = (fraction <= top) & (fraction >= loads[0])
     if not inside.any():

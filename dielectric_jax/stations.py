@@ -5,7 +5,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .equilibria import SCALE, Points, largest_on, load_fraction, locking_stretch
+from .equilibria import SCALE, Points, load_fraction, locking_stretch
+from .materials import largest_load
 from .results import Code
 from .scene import SCANNED_LOAD
 
@@ -44,7 +45,7 @@ def hermite(x0, x1, t0, t1, length, share):
 
 def _cone_measure(membrane, line) -> np.ndarray:
     """−log(1 − t): it counts the folds that accumulate towards the cone at the apex."""
-    fraction = line[:, 2] * SCALE[2] / np.asarray(largest_on(membrane.material, line[:, 0]))
+    fraction = line[:, 2] * SCALE[2] / largest_load(membrane.material, line[:, 0])
     return -_CONE_WEIGHT * np.log(np.maximum(1 - fraction, 1e-6))
 
 
@@ -64,7 +65,7 @@ def _resample(membrane, line, tangents, count):
             _cone_measure(membrane, line),
         ]
     )
-    fraction = q * SCALE[2] / largest_on(membrane.material, line[:, 0])
+    fraction = q * SCALE[2] / largest_load(membrane.material, line[:, 0])
     # and where an inner layer makes each of them dear
     dear = (line[1:, 0] > locking_stretch(membrane)) & (fraction[1:] > _THIN)
     length = np.linalg.norm(np.diff(seen), axis=0) * np.where(dear, 0.5, 1.0)
@@ -100,7 +101,7 @@ def _stations(solver, line, tangents, count, tolerance, chart) -> tuple[Points, 
     # at the flat end p falls like a power of λa − λ0, which no Hermite cubic follows: start on the scan
     flat = at[:, 0] - float(solver.membrane.prestretch) < 0.02
     if flat.any():
-        load = at[flat, 2] * SCALE[2] / largest_on(solver.membrane.material, at[flat, 0])
+        load = at[flat, 2] * SCALE[2] / largest_load(solver.membrane.material, at[flat, 0])
         at[flat, 1] = chart.pressure_of(at[flat, 0], load) / SCALE[1]
     target = (normal * at).sum(axis=1)
     points = solver.polish((at * SCALE).T, normal / SCALE, target, tolerance=tolerance, reach=0.5)

@@ -13,18 +13,20 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .archive import cached_path, fingerprint, keep, kept_or_none, read_archive, same_fingerprint, write_archive
-from .elements import NODES, Element, chebyshev, locate, pack, unit_place
-from .materials import AbstractBreakdown, AbstractMaterial, largest_load
-from .membrane import Membrane
+from .elements import NODES, Element, chebyshev, locate, pack, padded, unit_place, used
+from .kept import elementwise
+from .materials import AbstractBreakdown, AbstractMaterial, field_on, largest_load
+from .membrane import Membrane, field_ratio_squared
 from .results import check_positive
 from .scene import SCANNED_LOAD
 from .sheet import QUANTITIES, build_elements, edge_factors
 
-__all__ = ["ById", "SheetState", "Surface"]
+__all__ = ["ById", "SheetState", "Surface", "pressure_and_volume"]
 
 _FORMAT = "dielectric_jax surface 1"
 BOTTOM = -0.75
 _ABOVE_BREAKDOWN = 1.3
+_BLOCK = 128  # edges and elements come in multiples of it
 _BOUND = 4.0  # times the largest error seen at the fresh states of an element
 _LEAST_BOUND = 3e-12  # what independent methods can tell
 
@@ -37,6 +39,11 @@ class SheetState(typing.NamedTuple):
     height: Array
     charge: Array
     energy: Array
+
+
+def arrays_of(values) -> SheetState:
+    """The state of five arrays, of NumPy outside transformations."""
+    return SheetState(*(jax.device_put(v) if isinstance(v, np.ndarray) else v for v in values))
 
 
 def with_charge(values, q) -> SheetState:
@@ -61,7 +68,7 @@ def check_tolerance(tolerance: float, noun: str) -> None:
 def top_load(material: AbstractMaterial, law: AbstractBreakdown, apex) -> np.ndarray:
     """The largest t of the domain at λa: 1.3 times that of breakdown at the apex, at most 0.9."""
     with np.errstate(all="ignore"):
-        load = np.asarray(law.field(apex)) ** 2 / apex**4 / np.asarray(largest_load(material, apex))
+        load = field_on(law, apex) ** 2 / apex**4 / largest_load(material, apex)
     return np.minimum(SCANNED_LOAD, _ABOVE_BREAKDOWN * np.nan_to_num(load, nan=1.0, posinf=1.0))
 
 
@@ -71,7 +78,7 @@ class Surface(eqx.Module):
     `apex_edges` (columns + 1,) and `load_edges` (rows + 1,) cut the chart into cells; `cells` (columns, rows) names the
     element that covers each, −1 outside the domain. `boxes` (elements, 4) holds the edges of the elements,
     `coefficients` (elements, 5, 16, 20) their polynomials, `errors` (elements,) the largest relative error seen at fresh
-    states. Build one with `Surface.build`.
+    states; the last edges and elements are repeated to sizes that most surfaces share. Build one with `Surface.build`.
 
     Its numbers are differentiable to any order by λa, q and t, but they belong to one material. By a constant m of the
     material the implicit rule at the shot tells them: at fixed (λa, q) the rim condition lag(λa, p, q; m) = λ0 − λa gives
@@ -133,8 +140,8 @@ class Surface(eqx.Module):
     @classmethod
     def of_elements(cls, membrane: Membrane, elements: list[Element], tolerance: float) -> "Surface":
         """The surface that elements make up."""
-        edges, arrays = pack(elements)
-        return cls(membrane, *map(jnp.asarray, (*edges, *arrays)), tolerance=tolerance)
+        edges, arrays = padded(*pack(elements), _BLOCK)
+        return cls(membrane, *map(jax.device_put, (*edges, *arrays)), tolerance=tolerance)
 
     def locate(self, apex_stretch, load_fraction):
         """The element that covers points of the chart, −1 outside the domain."""
@@ -157,24 +164,19 @@ class Surface(eqx.Module):
 
     def __call__(self, apex_stretch, voltage_squared) -> SheetState:
         """The state at (λa, q), elementwise over arrays of one shape; differentiable to any order, also in q."""
-        q = jnp.asarray(voltage_squared, float)
-        t = q / largest_load(self.membrane.material, apex_stretch)
-        return with_charge(self.at_load_fraction(apex_stretch, t), q)
+        return arrays_of(_state(self, apex_stretch, voltage_squared))
 
     def covers(self, apex_stretch, voltage_squared):
         """Whether the domain holds the states (λa, q)."""
-        t = voltage_squared / largest_load(self.membrane.material, apex_stretch)
-        return (self.locate(jnp.asarray(apex_stretch, float), t) >= 0) & (apex_stretch > self.membrane.prestretch)
+        return _covered(self, apex_stretch, voltage_squared)
 
     def error_bound(self, apex_stretch, voltage_squared):
         """The bound of the relative error |error|/max(|value|, 1e-3) at (λa, q); inf outside the domain."""
-        t = voltage_squared / largest_load(self.membrane.material, apex_stretch)
-        return bound_of(self.errors, self.locate(jnp.asarray(apex_stretch, float), t))
+        return _bound(self, apex_stretch, voltage_squared)
 
     def breakdown_load(self, apex_stretch):
         """q_b(λa) = (E_EB(λa)/λa²)², the load at which the field of the apex reaches the breakdown law."""
-        apex = jnp.asarray(apex_stretch, float)
-        return (self.membrane.breakdown.field(apex) / apex**2) ** 2
+        return 1 / field_ratio_squared(self.membrane.breakdown, apex_stretch, apex_stretch)
 
     def belongs_to(self, membrane: Membrane) -> bool:
         """Whether it was built for a membrane equal to this one."""
@@ -195,14 +197,39 @@ class Surface(eqx.Module):
         header, arrays, built_for = read_archive(path, _FORMAT, "surface", _ARRAYS)
         if not same_fingerprint(built_for, fingerprint(membrane)):
             raise ValueError(f"`membrane` must be the one the surface was built for, but {str(path)!r} is another's.")
-        parts: dict[str, typing.Any] = {name: jnp.asarray(arrays[name]) for name in _ARRAYS}
-        return cls(membrane=membrane, **parts, tolerance=float(header["tolerance"]))
+        own = [arrays[name] for name in _ARRAYS]
+        edges, rest = padded(own[:2], own[2:], _BLOCK)
+        return cls(membrane, *map(jax.device_put, (*edges, *rest)), tolerance=float(header["tolerance"]))
 
     def __repr__(self) -> str:
         worst = float(np.max(np.asarray(self.errors)))
-        return (
-            f"Surface({len(self.errors)} elements, prestretch={float(self.membrane.prestretch):g}, error {worst:.1e})"
-        )
+        return f"Surface({len(used(self.cells))} elements, prestretch={float(self.membrane.prestretch):g}, error {worst:.1e})"
+
+
+def _element(surface: Surface, apex, q):
+    return surface.locate(jnp.asarray(apex, float), q / largest_load(surface.membrane.material, apex))
+
+
+@elementwise
+def _state(surface: Surface, apex, q) -> tuple:
+    t = q / largest_load(surface.membrane.material, apex)
+    return tuple(with_charge(surface.at_load_fraction(apex, t), jnp.asarray(q, float)))
+
+
+@elementwise
+def _covered(surface: Surface, apex, q):
+    return (_element(surface, apex, q) >= 0) & (apex > surface.membrane.prestretch)
+
+
+@elementwise
+def _bound(surface: Surface, apex, q):
+    return bound_of(surface.errors, _element(surface, apex, q))
+
+
+@elementwise
+def pressure_and_volume(surface: Surface, apex, load):
+    """p and V (2, …) at points (λa, t) of a surface, elementwise."""
+    return jnp.stack(surface.at_load_fraction(apex, load, ("pressure", "volume")))
 
 
 class ById:

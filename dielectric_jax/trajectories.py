@@ -80,7 +80,7 @@ def _states_program(material: AbstractMaterial, u, shares, radius, values, count
 
 def _trajectory_states(material: AbstractMaterial, apex, load, pressure, sets: list, steps: float) -> list[np.ndarray]:
     """The states (5, shares, n) along the trajectories of (λa, t, p) at each of several sets of 16 shares."""
-    u = np.stack([apex, pressure, load * np.asarray(largest_load(material, jnp.asarray(apex)))])
+    u = np.stack([apex, pressure, load * largest_load(material, apex)])
     u = np.pad(u, ((0, 0), (0, -apex.size % CHUNK)), mode="edge")
 
     def work(i):

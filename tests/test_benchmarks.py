@@ -117,6 +117,13 @@ def test_a_killed_sweep_loses_nothing(tmp_path):
     assert record["kills"] == 3 and record["stores_finished"] >= 1 and record["wrong"] == [], said
 
 
+def test_a_process_of_many_scenes_stays_small(tmp_path):
+    record, said = quick("memory.py", tmp_path)
+    first, last = record["blocks"]
+    assert last["scenes"] == 4 and last["compiled"] < first["compiled"], said
+    assert last["gigabytes"] < 1.5 and last["maps"] < 20_000 and last["programs"] > 0
+
+
 def test_a_surface_is_as_exact_as_it_says(tmp_path):
     record, said = quick("surface_error.py", tmp_path)
     assert record["states"] == 200 and record["not_sharp"] < 100, said
