@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from .scene import PARAMETERS, Scene
+from .scene import PARAMETERS, Scene, place_of
 
 __all__ = ["Axis", "Design", "read_scenes", "samples", "zipped"]
 
@@ -21,8 +21,6 @@ _METHODS = ("sobol", "latin_hypercube", "random")
 
 def _checked(name: str, values) -> np.ndarray:
     """The values of a parameter as a column; raises ValueError for what no scene can have."""
-    if name not in PARAMETERS:
-        raise ValueError(f"`{name}` must be one of {', '.join(PARAMETERS)}, but is not a parameter of a scene.")
     if name in _LISTS:
         raise ValueError(f"`{name}` must not vary along an axis, because its value is a list.")
     try:
@@ -31,13 +29,14 @@ def _checked(name: str, values) -> np.ndarray:
         raise ValueError(f"`{name}` must be a list of numbers, but is {values!r}.") from None
     if column.ndim != 1 or not column.size:
         raise ValueError(f"`{name}` must be a list of at least one number, but has the shape {column.shape}.")
-    least = -np.inf if name in _ANY_ALLOWED else 1.0 if name == "prestretch" else 0.0
+    anything = name in _ANY_ALLOWED or name not in PARAMETERS  # a constant of a user's material
+    least = -np.inf if anything else 1.0 if name == "prestretch" else 0.0
     allowed = np.isfinite(column) & ((column > least) | ((column == least) & (name in (*_ZERO_ALLOWED, "prestretch"))))
     if not allowed.all():
         what = {"prestretch": "at least 1 and "}.get(
             name, "zero or positive and " if name in _ZERO_ALLOWED else "positive and "
         )
-        what = "" if name in _ANY_ALLOWED else what
+        what = "" if anything else what
         raise ValueError(f"`{name}` must be {what}finite, but one value is {float(column[~allowed][0])!r}.")
     return column
 
@@ -79,7 +78,7 @@ class Axis:
     @property
     def of_membrane(self) -> bool:
         """Whether the membrane changes along the axis."""
-        return any(PARAMETERS[name][0] != "loading" for name in self.columns)
+        return any(place_of(name)[0] != "loading" for name in self.columns)
 
 
 def zipped(dimension: str = "scene", /, **columns) -> Axis:

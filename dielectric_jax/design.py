@@ -22,7 +22,7 @@ from .records import plain
 from .regime_maps import even
 from .regimes import Regime
 from .scenarios import scenarios_of
-from .scene import PARAMETERS, Scene, describe
+from .scene import Scene, describe, place_of
 from .surface import Surface
 
 __all__ = ["Design", "maximise_area_strain"]
@@ -117,10 +117,10 @@ def maximise_area_strain(
     if not over:
         raise ValueError("`over` must name at least one parameter, but is empty.")
     wishes = Wishes(survival_margin, operating_margin, must_snap, way_down)
-    axes = [axis_of(name, limits) for name, limits in over.items()]
+    axes = [axis_of(name, limits, scene) for name, limits in over.items()]
     names = tuple(over)
     for name in names:
-        if PARAMETERS[name][:2] == ("membrane", "material"):
+        if place_of(name)[:2] == ("membrane", "material"):
             raise ValueError(f"`{name}` must be held, because every value of it needs a surface of its own.")
     scenes = scenarios_of(scene, axes, uncertain or {}, quantile, surface, operating_margin)
     share = 0.0 if quantile is None else quantile

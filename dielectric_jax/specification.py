@@ -7,7 +7,7 @@ import numpy as np
 
 from .axes import Axis, axes_of, read_scenes, samples, zipped
 from .documents import number, read_toml, refuse, scene_of, table, values
-from .scene import PARAMETERS, Scene
+from .scene import Scene, place_of
 
 __all__ = ["read_specification"]
 
@@ -98,7 +98,7 @@ def read_specification(path) -> tuple[Scene, list[Axis], dict[str, typing.Any]]:
     if any(name.startswith("initial_") for name in varied):
         given = {name: value for name, value in given.items() if not name.startswith("initial_")}
     constants = dict(table("units", document.get("units", {})))
-    of_units = [n for n in varied if PARAMETERS[n][0] == "units"]
+    of_units = [n for n in varied if place_of(n)[0] == "units"]
     if of_units and not constants:
         raise ValueError(f"`{of_units[0]}` must have a [units] table of the scene's own constants, but there is none.")
     return scene_of(given | {n: v for n, v in varied.items() if n not in of_units}, constants), axes, options

@@ -10,10 +10,11 @@ from scipy.optimize import root_scalar
 
 from .branches import cached_scan
 from .chart import map_nodes, stretch_shares
+from .energies import require_float64
 from .equilibria import Points, polish
 from .loading import Chamber, ConstantPressure, ConstantVoltage, PrescribedVolume, mechanical
 from .materials import capacitance, is_concrete, largest_load
-from .membrane import Membrane, require_float64
+from .membrane import Membrane
 from .records import State, voltage_of
 from .results import Code, SceneError, check_positive
 from .scene import Scene, Window
@@ -87,7 +88,6 @@ def flat_state(membrane: Membrane, q: float) -> State:
 def filling(scene: Scene, tolerance: float) -> tuple[float | None, float | None]:
     """(p_0, V_0) of a chamber at zero voltage, (0, 0) for a flat film, (None, None) without a chamber."""
     loading, membrane = mechanical(scene.loading), scene.membrane
-    flat = (0.0, 0.0)
     if isinstance(loading, ConstantPressure):
         filled = float(loading.pressure) > 0
     elif isinstance(loading, PrescribedVolume):
@@ -101,7 +101,7 @@ def filling(scene: Scene, tolerance: float) -> tuple[float | None, float | None]
     if not filled:
         if float(membrane.prestretch) == 1.0:
             raise SceneError(Code.flat_unstretched)
-        return flat
+        return 0.0, 0.0
     if not isinstance(loading, Chamber):
         return None, None
     name = "initial_volume" if loading.initial_volume is not None else "initial_pressure"
@@ -112,7 +112,7 @@ def filling(scene: Scene, tolerance: float) -> tuple[float | None, float | None]
             raise SceneError(Code.near_flat)
         most = _reach(membrane, name.removeprefix("initial_"))
         raise ValueError(
-            f"`{name}` must lie between 0 and {most:.6g}, what the membrane reaches at zero voltage up to its lock-up, "
+            f"`{name}` must lie between 0 and {most:.6g}, what the membrane reaches at zero voltage up to its largest stretch, "
             f"but is {wanted!r}."
         )
     return (state.pressure, wanted) if name == "initial_volume" else (wanted, state.volume)
@@ -256,7 +256,7 @@ def check_reachable(membrane: Membrane, volume: float) -> None:
     most = _reach(membrane, "volume")
     if volume > most:
         raise ValueError(
-            f"`volume` must lie between 0 and {most:.6g}, what the membrane reaches up to its lock-up, but is {volume!r}."
+            f"`volume` must lie between 0 and {most:.6g}, what the membrane reaches up to its largest stretch, but is {volume!r}."
         )
     if too_flat(membrane, "volume", volume):
         raise SceneError(Code.near_flat)

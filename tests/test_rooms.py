@@ -14,6 +14,7 @@ ROOMS = [
     "units",
     "tables",
     "records",
+    "energies",
     "materials",
     "elastomers",
     "membrane",
