@@ -195,7 +195,7 @@ class CustomPermittivity(_Dielectric):
         if not callable(self.function):
             raise ValueError(f"`function` must be a function of two stretches, but is {self.function!r}.")
         if all(map(is_concrete, jax.tree.leaves(self.elastic))):
-            check_permittivity(self.function, self.elastic.lock_up_stretch(1.0)[0])
+            check_permittivity(self, self.elastic.lock_up_stretch(1.0)[0])
 
     def permittivity(self, l1, l2):
         return self.function(l1, l2)

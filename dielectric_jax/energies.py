@@ -4,6 +4,8 @@ A membrane's energy W(λ1, λ2) is a function of the two stretches and not of th
 measured in the shear modulus. Where one of these fails the equations still have solutions, of no membrane.
 """
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -27,8 +29,10 @@ def require_float64() -> None:
         )
 
 
-def _derivatives(function, l1, l2):
-    """W, W with its arguments exchanged, and the first and second derivatives, elementwise."""
+@functools.partial(jax.jit, static_argnames="method")
+def _derivatives(material, method: str, l1, l2):
+    """W, W with its arguments exchanged, and the first and second derivatives, elementwise; W is a method's value."""
+    function = getattr(material, method)
 
     def gradient(l1, l2):
         value, back = jax.vjp(function, l1, l2)
@@ -36,22 +40,16 @@ def _derivatives(function, l1, l2):
 
     one, zero = jnp.ones_like(l1), jnp.zeros_like(l1)
     (w1, w2), (w11, w12) = jax.jvp(gradient, (l1, l2), (one, zero))
-    return function(l1, l2), function(l2, l1), w1, w2, w11, w12
+    return jnp.stack([function(l1, l2), function(l2, l1), w1, w2, w11, w12])
 
 
-def _evaluated(name: str, function, l1, l2) -> np.ndarray:
-    """`_derivatives` as arrays (6, n); raises ValueError in one sentence for what is no function of two stretches."""
+def _evaluated(name: str, material, method: str, l1, l2) -> np.ndarray:
+    """`_derivatives` (6, n); raises ValueError in one sentence for a method, called `name`, that is no function of stretches."""
     number, asked = (jax.ShapeDtypeStruct(shape, l1.dtype) for shape in ((), l1.shape))
+    function = getattr(material, method)
     try:
         jax.eval_shape(function, number, number)  # what needs their values says so of numbers
         told = jax.eval_shape(function, asked, asked)
-        if getattr(told, "shape", None) != l1.shape or told.dtype != l1.dtype:
-            what = f"an array {told.dtype}{list(told.shape)}" if hasattr(told, "shape") else f"a {type(told).__name__}"
-            raise ValueError(
-                f"`{name}` must return one float64 for each pair of stretches, but for two arrays of shape {l1.shape} "
-                f"it returns {what}."
-            )
-        return np.stack(jax.jit(lambda a, b: _derivatives(function, a, b))(l1, l2))
     except (jax.errors.TracerArrayConversionError, jax.errors.ConcretizationTypeError):
         raise ValueError(
             f"`{name}` must be written with jax.numpy (jnp.log for np.log or math.log, jnp.where for if), "
@@ -60,6 +58,18 @@ def _evaluated(name: str, function, l1, l2) -> np.ndarray:
     except TypeError as error:
         said = (str(error).splitlines() or [""])[0]
         raise ValueError(f"`{name}` must be a function of two arrays of stretches, but fails: {said}") from None
+    if getattr(told, "shape", None) != l1.shape or told.dtype != l1.dtype:
+        what = f"an array {told.dtype}{list(told.shape)}" if hasattr(told, "shape") else f"a {type(told).__name__}"
+        raise ValueError(
+            f"`{name}` must return one float64 for each pair of stretches, but for two arrays of shape {l1.shape} "
+            f"it returns {what}."
+        )
+    try:
+        return np.asarray(_derivatives(material, method, l1, l2))
+    except jax.errors.TracerArrayConversionError:
+        raise ValueError(
+            f"`{name}` must not hold numbers that JAX is tracing; make them fields of a subclass of AbstractMaterial."
+        ) from None
 
 
 def check_modulus(name: str, modulus: float) -> None:
@@ -82,7 +92,7 @@ def check_energy(material, name: str) -> None:
             )
     largest = material.lock_up_stretch(1.0)[0]
     l1, l2 = 1 + (min(float(largest), _MOST) - 1) * _SHARES.T
-    told = _evaluated(name, material.energy, l1, l2)
+    told = _evaluated(name, material, "energy", l1, l2)
     w, swapped, w1, w2, w11, w12 = told
     if not np.isfinite(told[:, 0]).all():
         raise ValueError(
@@ -109,11 +119,11 @@ def check_energy(material, name: str) -> None:
     check_modulus(f"`{name}`", float(modulus))
 
 
-def check_permittivity(function, largest: float) -> None:
+def check_permittivity(material, largest: float) -> None:
     """Refuses a permittivity e(λ1, λ2) that is not symmetric, or none of the unstretched membrane."""
     require_float64()
     l1, l2 = 1 + (min(float(largest), _MOST) - 1) * _SHARES.T
-    told = _evaluated("function", function, l1, l2)
+    told = _evaluated("function", material, "permittivity", l1, l2)
     e, swapped = told[:2]
     if not (np.isfinite(told[:, 0]).all() and MODULI[0] <= e[0] <= MODULI[1]):
         raise ValueError(

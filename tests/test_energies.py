@@ -83,6 +83,17 @@ def test_constants_in_si_and_permittivities_of_one_direction_are_refused(make, s
         make()
 
 
+def test_constants_of_a_function_are_not_differentiated():
+    def tension(limit):
+        material = dj.CustomMaterial(lambda a, b: -limit / 2 * jnp.log1p(-rise(a, b) / limit), largest_stretch=8.0)
+        return dj.stresses(material, 2.0, 2.0, 0.0)[0]
+
+    with pytest.raises(
+        ValueError, match=r"^`function` must not hold numbers that JAX is tracing; .* AbstractMaterial\."
+    ):
+        jax.grad(tension)(270.0)
+
+
 class Mine(dj.AbstractMaterial):
     """Gent's energy with a constant of another name."""
 
