@@ -10,6 +10,7 @@ _ROOMS = {
     "units": ("VHB_4910", "Units"),
     "records": ("Branch", "Event", "Ramp", "SpecialPoint", "State"),
     "materials": (
+        "AbstractMaterial",
         "ArrudaBoyce",
         "ConstantBreakdown",
         "CustomBreakdown",
@@ -134,6 +135,7 @@ if typing.TYPE_CHECKING:
     from .loading import Chamber, ChargeControl, ConstantPressure, ConstantVoltage, PrescribedVolume
     from .material_page import balloon_pressure, plot_material, tension_curves
     from .materials import (
+        AbstractMaterial,
         ArrudaBoyce,
         ConstantBreakdown,
         CustomBreakdown,

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from .results import LARGEST, check_whole, shown
-from .scene import PARAMETERS, Scene
+from .scene import PARAMETERS, Scene, place_of
 
 __all__ = ["Axis", "Design", "read_scenes", "samples", "zipped"]
 
@@ -23,8 +23,6 @@ _METHODS = ("sobol", "latin_hypercube", "random")
 
 def _checked(name: str, values) -> np.ndarray:
     """The values of a parameter as a column; raises ValueError for what no scene can have."""
-    if name not in PARAMETERS:
-        raise ValueError(f"`{name}` must be one of {', '.join(PARAMETERS)}, but is not a parameter of a scene.")
     if name in _LISTS:
         raise ValueError(f"`{name}` must not vary along an axis, because its value is a list.")
     try:
@@ -33,7 +31,8 @@ def _checked(name: str, values) -> np.ndarray:
         raise ValueError(f"`{name}` must be a list of numbers, but is {shown(values)}.") from None
     if column.ndim != 1 or not column.size:
         raise ValueError(f"`{name}` must be a list of at least one number, but has the shape {column.shape}.")
-    least = -np.inf if name in _ANY_ALLOWED else 1.0 if name == "prestretch" else 0.0
+    anything = name in _ANY_ALLOWED or name not in PARAMETERS  # a constant of a user's material
+    least = -np.inf if anything else 1.0 if name == "prestretch" else 0.0
     allowed = (np.abs(column) <= LARGEST) & (
         (column > least) | ((column == least) & (name in (*_ZERO_ALLOWED, "prestretch")))
     )
@@ -41,7 +40,7 @@ def _checked(name: str, values) -> np.ndarray:
         what = {"prestretch": "at least 1 and "}.get(
             name, "zero or positive and " if name in _ZERO_ALLOWED else "positive and "
         )
-        what = "" if name in _ANY_ALLOWED else what
+        what = "" if anything else what
         value = float(column[~allowed][0])
         finite = f"at most {LARGEST:g} in size" if LARGEST < abs(value) < math.inf else "finite"
         raise ValueError(f"`{name}` must be {what}{finite}, but one value is {value!r}.")
@@ -85,7 +84,7 @@ class Axis:
     @property
     def of_membrane(self) -> bool:
         """Whether the membrane changes along the axis."""
-        return any(PARAMETERS[name][0] != "loading" for name in self.columns)
+        return any(place_of(name)[0] != "loading" for name in self.columns)
 
 
 def zipped(dimension: str = "scene", /, **columns) -> Axis:

@@ -10,11 +10,12 @@ import numpy as np
 
 from .chart import Scan, cached_scan, map_nodes
 from .contours import OnSurface, margins, surface_branches
-from .equilibria import SCALE, locking_stretch
+from .equilibria import SCALE, load_fraction, locking_stretch
 from .loading import Contour
 from .materials import largest_load
 from .membrane import Membrane
 from .results import Code
+from .scene import SCANNED_LOAD
 from .shooting import MOST_STEPS
 from .stations import Curve, clip_to_window, exact_curve, hermite, scaled
 from .tracing import run_trace, run_traces
@@ -24,6 +25,8 @@ __all__ = ["find_curves"]
 _NEAR, _SAME = 0.2, 0.03  # on the chart, in tenths of its extent: on one branch as the scan sees it; the same point
 _LARGEST = (1.0, 0.2, 0.05)  # steps of the rounds in which branches are looked for
 _THIN = 3  # every third vertex of a contour is close enough to its neighbours
+_MARGIN = 0.02  # of the scanned loads: what lies there may be an error of interpolation
+_GAVE_UP = (Code.too_many_points, Code.step_too_small, Code.not_converged, Code.beyond_tolerance)
 _DEAR = 0.6  # load fraction near lock-up from which continuation takes most of its time
 
 
@@ -84,7 +87,7 @@ def find_curves(solver, limits, *, count: int, tolerance: float, extend: bool = 
         complete &= whole
         if curve is None:
             continue
-        complete &= _agrees(membrane, curve, contours, chart)
+        complete &= _agrees(membrane, curve, contours, chart) and _ended(membrane, curve)
         curves.append(curve)
     if pending:  # by the traces; a curve may come farther than its trace did
         shadows = [_on_chart(membrane, _dense(c.points.u.T, c.points.tangent)) for c in curves]
@@ -184,13 +187,12 @@ def _join(ahead, behind):
     return line, tangents, (behind[2], ahead[2])
 
 
-def _uncovered(membrane, vertices, shadows, top, margin=0.02):
+def _uncovered(membrane, vertices, shadows, top, margin=_MARGIN):
     """The longest run of a contour's vertices that no traced line comes near, or None."""
     here = _on_chart(membrane, vertices)
     away = np.full(len(vertices), np.inf)
     for shadow in shadows:
         away = np.minimum(away, np.repeat(_distance_to_polyline(here[::_THIN], shadow), _THIN)[: len(here)])
-    # the last of the scanned loads is left out: a contour there may be an error of interpolation
     far = (away > _NEAR) & (here[:, 1] < 10 * (top - margin))
     if not far.any():
         return None
@@ -239,6 +241,13 @@ def _confirmed(membrane, contour: Contour, vertices: np.ndarray) -> np.ndarray:
             break
     good = np.isfinite(pressure) & (np.abs(new - old) < 1e-6) & (np.abs(new - first) < 0.05)
     return np.stack([apex, pressure, new * limit], axis=1)[good]
+
+
+def _ended(membrane, curve: Curve) -> bool:
+    """Whether both ends of a curve lie at an edge of the window or beyond the scanned loads, and not where its trace gave up."""
+    fraction = load_fraction(membrane, curve.points.u[:, [0, -1]])
+    ends = zip((curve.start, curve.end), fraction, strict=True)
+    return all(code not in _GAVE_UP or t > SCANNED_LOAD - _MARGIN for code, t in ends)
 
 
 def _agrees(membrane, curve: Curve, contours, chart: Scan) -> bool:

@@ -12,6 +12,7 @@ from .outcomes import Outcome, Regime
 from .regime_maps import check_range, even
 from .results import check_between
 from .scenarios import Scenario
+from .scene import Scene
 
 __all__ = ["NEAR", "Axis", "Climb", "Wishes", "axis_of", "inwards", "scan_designs"]
 
@@ -67,9 +68,9 @@ class Axis:
         return x, x * np.log(self.high / self.low) if self.logarithmic else self.high - self.low
 
 
-def axis_of(name: str, limits) -> Axis:
-    """The axis of a parameter over a range; ValueError for what is none."""
-    low, high = check_range(name, limits)
+def axis_of(name: str, limits, scene: Scene) -> Axis:
+    """The axis of a scene's parameter over a range; ValueError for what is none."""
+    low, high = check_range(name, limits, scene)
     values = even(name, limits, 3)
     return Axis(name, low, high, bool(abs(values[1] - (low + high) / 2) > 1e-9 * high))
 

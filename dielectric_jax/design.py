@@ -22,7 +22,7 @@ from .records import plain
 from .regime_maps import even
 from .results import check_whole
 from .scenarios import scenarios_of
-from .scene import PARAMETERS, Scene, describe
+from .scene import Scene, describe, place_of
 from .surface import Surface
 
 __all__ = ["Design", "maximise_area_strain"]
@@ -121,10 +121,10 @@ def maximise_area_strain(
         raise ValueError(f"`over` must name at most {_MOST_SOUGHT} parameters, but names {len(over)}.")
     check_whole("compare", compare, 0, 10_000_000)
     wishes = Wishes(survival_margin, operating_margin, must_snap, way_down)
-    axes = [axis_of(name, limits) for name, limits in over.items()]
+    axes = [axis_of(name, limits, scene) for name, limits in over.items()]
     names = tuple(over)
     for name in names:
-        if PARAMETERS[name][:2] == ("membrane", "material"):
+        if place_of(name)[:2] == ("membrane", "material"):
             raise ValueError(f"`{name}` must be held, because every value of it needs a surface of its own.")
     scenes = scenarios_of(scene, axes, uncertain or {}, quantile, surface, operating_margin)
     share = 0.0 if quantile is None else quantile

@@ -51,7 +51,8 @@ __all__ = ["Diagram", "pressure_volume", "voltage_volume"]
 class Diagram:
     """All branches of a scene in its window, their special points, and the ramp.
 
-    `complete` says whether scan and continuation agree on the branches of the scanned window.
+    `complete` says whether scan and continuation agree on the branches of the scanned window, and each of these was followed
+    to the edge of the window.
     """
 
     kind: str

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .energies import check_modulus, check_permittivity
 from .kept import elementwise
 from .materials import (
     AbstractDielectric,
@@ -56,8 +57,10 @@ class MooneyRivlin(AbstractMaterial):
             value = getattr(self, name)
             if is_concrete(value):
                 check_positive(name, float(value), zero=True)
-        if is_concrete(self.c1) and is_concrete(self.c2) and not float(self.c1) + float(self.c2) > 0:
-            raise ValueError("`c1` or `c2` must be positive, but both are 0.0.")
+        if is_concrete(self.c1) and is_concrete(self.c2):
+            if not float(self.c1) + float(self.c2) > 0:
+                raise ValueError("`c1` or `c2` must be positive, but both are 0.0.")
+            check_modulus("`c1` and `c2`", 2 * (float(self.c1) + float(self.c2)))
 
     def energy(self, l1, l2):
         a, b = jnp.maximum(l1, _LEAST), jnp.maximum(l2, _LEAST)
@@ -118,6 +121,7 @@ class Ogden(AbstractMaterial):
         modulus = float(np.dot(self.moduli, self.exponents)) / 2
         if not modulus > 0:
             raise ValueError(f"`moduli` must give a positive shear modulus ½ Σ μ_k α_k, but give {modulus!r}.")
+        check_modulus("`moduli`", modulus)
 
     def energy(self, l1, l2):
         a, b = jnp.maximum(l1, _LEAST), jnp.maximum(l2, _LEAST)
@@ -202,13 +206,20 @@ class Electrostrictive(_Dielectric):
 
 
 class CustomPermittivity(_Dielectric):
-    """The elasticity of `elastic` with a user's e(λ1, λ2): `function(l1, l2)` written with jax.numpy, elementwise, symmetric."""
+    """The elasticity of `elastic` with a user's e(λ1, λ2): `function(l1, l2)` written with jax.numpy, elementwise, symmetric.
+
+    e is about 1 at λ1 = λ2 = 1, where ε is that of the unstretched membrane. Raises ValueError where it is not.
+    """
 
     elastic: AbstractMaterial
     function: Callable = eqx.field(static=True)
 
     def __check_init__(self):
         _check_elastic(self.elastic)
+        if not callable(self.function):
+            raise ValueError(f"`function` must be a function of two stretches, but is {self.function!r}.")
+        if all(map(is_concrete, jax.tree.leaves(self.elastic))):
+            check_permittivity(self, self.elastic.lock_up_stretch(1.0)[0])
 
     def permittivity(self, l1, l2):
         return self.function(l1, l2)

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from .drawing import COLOURS, new_figure
 from .materials import AbstractBreakdown, AbstractMaterial, VHBBreakdown, field_on, largest_load, stresses
+from .membrane import window_end
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -89,7 +90,7 @@ def plot_material(
     if breakdown is None:
         constants = () if units is None else (1.0, units.shear_modulus, units.relative_permittivity)
         breakdown = VHBBreakdown(*constants)
-    end = 0.95 * material.lock_up_stretch(1.0)[0] if largest_stretch is None else largest_stretch
+    end = 0.95 * window_end(material, 1.0)[0] if largest_stretch is None else largest_stretch
     stretch = 1 + (end - 1) * np.linspace(0.0, 1.0, 500)[1:] ** 2  # closer where balloon and film begin
     figure = new_figure(11.0, 8.4) if figure is None else figure
     panels: Any = figure.subplots(2, 2)

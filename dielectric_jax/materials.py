@@ -7,6 +7,7 @@ and `admissible` is False.
 """
 
 import abc
+import dataclasses
 import functools
 import math
 import typing
@@ -15,9 +16,11 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from .elementary import log1p, reciprocal
-from .kept import elementwise
+from .energies import check_energy
+from .kept import elementwise, of_this_package
 from .results import check_positive
 from .units import VACUUM_PERMITTIVITY, VHB_4910, Scalar, as_scalar, is_concrete
 
@@ -46,7 +49,41 @@ def first_invariant_minus_3(l1, l2):
 
 
 class AbstractMaterial(eqx.Module):
-    """A free energy W(λ1, λ2); write `energy`, and the rest of the package follows."""
+    """A free energy W(λ1, λ2) of your own: a subclass with these three methods is a material everywhere.
+
+    Its fields that are numbers are its constants, which `Scene.replace`, sweeps, derivatives and `continue_scenes` know by
+    their names. The energy is written with jax.numpy, elementwise, in units of the shear modulus. On construction it is
+    checked: W(λ1, λ2) = W(λ2, λ1), W is stationary at λ1 = λ2 = 1, and the modulus (W_11 + W_12)/6 there lies between 0.1
+    and 10. Raises ValueError where it is not. The window ends at `lock_up_stretch`, or before it where the membrane has
+    stiffened, see `Window`.
+
+    >>> class Yeoh(AbstractMaterial):
+    ...     c3: float = 1e-4
+    ...
+    ...     def _rise(self, l1, l2):
+    ...         return l1**2 + l2**2 + (l1 * l2) ** -2 - 3
+    ...
+    ...     def energy(self, l1, l2):
+    ...         return self._rise(l1, l2) / 2 + self.c3 * self._rise(l1, l2) ** 3
+    ...
+    ...     def admissible(self, l1, l2):
+    ...         return (l1 > 0) & (l2 > 0)
+    ...
+    ...     def lock_up_stretch(self, prestretch):
+    ...         return 12 * prestretch, False
+    >>> round(float(stresses(Yeoh(c3=0.0), 2.0, 2.0, 0.0)[0]), 6)  # neo-Hookean: λ − λ⁻⁵
+    1.96875
+    """
+
+    def __check_init__(self):
+        if of_this_package(self):  # known to be sound
+            return
+        for field in dataclasses.fields(self):  # as by the converters of the package's own
+            value = getattr(self, field.name)
+            if (isinstance(value, (int, float)) or not is_concrete(value)) and not field.metadata.get("static", False):
+                object.__setattr__(self, field.name, as_scalar(value))
+        if all(map(is_concrete, jax.tree.leaves(self))):  # what is traced is not known yet
+            check_energy(self, "function" if isinstance(self, CustomMaterial) else "energy")
 
     @abc.abstractmethod
     def energy(self, l1: Elementwise, l2: Elementwise) -> Elementwise:
@@ -255,6 +292,9 @@ class ArrudaBoyce(AbstractMaterial):
 class CustomMaterial(AbstractMaterial):
     """A user's free energy: `function(l1, l2)` written with jax.numpy, elementwise; `largest_stretch` ends the window.
 
+    The function is part of the compiled programs, and so are the numbers in it: constants that are to be swept, fitted or
+    differentiated are fields of a subclass of `AbstractMaterial`, which says what is checked on construction.
+
     >>> mooney = CustomMaterial(lambda a, b: 0.45 * (a**2 + b**2 + 1/(a*b)**2 - 3)
     ...                         + 0.05 * (a**-2 + b**-2 + (a*b)**2 - 3), largest_stretch=8.0)
     >>> round(float(stresses(mooney, 2.0, 2.0, 0.0)[0]), 6)
@@ -265,7 +305,10 @@ class CustomMaterial(AbstractMaterial):
     largest_stretch: float = eqx.field(static=True)
 
     def __check_init__(self):
-        check_positive("largest_stretch", self.largest_stretch)
+        if not callable(self.function):
+            raise ValueError(f"`function` must be a function of two stretches, but is {self.function!r}.")
+        if not (isinstance(self.largest_stretch, (int, float, np.number)) and 1 < self.largest_stretch < math.inf):
+            raise ValueError(f"`largest_stretch` must be above 1 and finite, but is {self.largest_stretch!r}.")
 
     def energy(self, l1, l2):
         return self.function(l1, l2)

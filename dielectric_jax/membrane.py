@@ -6,6 +6,7 @@ Source: Li et al., doi 10.1016/j.jmps.2012.09.006, equations (10), (11), (13), (
 """
 
 import dataclasses
+import functools
 
 import equinox as eqx
 import jax
@@ -13,12 +14,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from .elementary import reciprocal, sine_cosine
+from .energies import require_float64
 from .kept import elementwise
 from .materials import (
     AbstractBreakdown,
     AbstractMaterial,
     ArrudaBoyce,
     Gent,
+    NeoHookean,
     VHBBreakdown,
     field_on,
     largest_load,
@@ -30,15 +33,42 @@ __all__ = ["Membrane", "Profile", "vhb_4910"]
 
 
 _LARGEST_PRESTRETCH = 1e4  # far above any; p λ0³ of a film without limit is still resolved
+_STIFF = 100.0  # balloon pressure 2 s/λ² at which the window ends: a Gent film at lock-up reaches 124 at most
+_STEEP = 210.0  # (λ − 1) ds/dλ / s, likewise: a Gent film at lock-up reaches 201
+_NODES = 512
 
 
-def require_float64() -> None:
-    """Raises unless JAX computes in float64."""
-    if not jax.config.read("jax_enable_x64"):
-        raise ValueError(
-            "`dielectric_jax` must compute in float64, but JAX is set to float32; add the line "
-            '`jax.config.update("jax_enable_x64", True)` before the first computation.'
-        )
+@functools.lru_cache(maxsize=512)
+def _stiffening(tree, numbers: tuple, largest: float) -> float:
+    """The largest stretch up to `largest` below which the equal-biaxial tension s of a material keeps its bounds."""
+    material = jax.tree.unflatten(tree, numbers)
+    low, high = 1.0, largest
+    even = np.linspace(0.0, 1.0, _NODES + 1)[1:]
+    for shares in (even**2, even, even, even):  # down to rounding
+        stretch = low + (high - low) * shares
+        tension, _, s11, s12 = map(np.asarray, stresses(material, stretch, stretch, 0.0))
+        with np.errstate(all="ignore"):
+            good = (tension > 0) & (2 * tension <= _STIFF * stretch**2)
+            good &= (stretch - 1) * (s11 + s12) <= _STEEP * tension
+        if good.all():
+            return high
+        last = int(np.argmin(good))
+        low, high = (stretch[last - 1] if last else low), stretch[last]
+    return float(low)
+
+
+def window_end(material: AbstractMaterial, prestretch: float) -> tuple[float, bool]:
+    """The largest apex stretch of the default window, and whether it is a lock-up of the material.
+
+    It is the material's own, or where the membrane has stiffened before: where the equal-biaxial tension s(λ) is lost, the
+    pressure 2s/λ² of a balloon exceeds 100, or (λ − 1) s'/s exceeds 210, which no Gent film does before it locks.
+    """
+    largest, locks = material.lock_up_stretch(prestretch)
+    if isinstance(material, (Gent, NeoHookean, ArrudaBoyce)):
+        return largest, locks
+    leaves, tree = jax.tree.flatten(material)
+    end = _stiffening(tree, tuple(float(v) for v in leaves), float(largest))
+    return (largest, locks) if end >= largest else (end, False)
 
 
 class Membrane(eqx.Module):
@@ -66,15 +96,15 @@ class Membrane(eqx.Module):
                 raise ValueError(f"`prestretch` must be at most {_LARGEST_PRESTRETCH:g}, but is {prestretch!r}.")
             leaves = jax.tree.leaves(self.material)
             if all(is_concrete(leaf) for leaf in leaves):
-                limit, _ = self.material.lock_up_stretch(prestretch)
+                limit, _ = window_end(self.material, prestretch)
                 if not prestretch < limit:
                     raise ValueError(
-                        f"`prestretch` must be below the material's limiting stretch {limit:.6g}, but is {prestretch!r}."
+                        f"`prestretch` must be below the material's largest stretch {limit:.6g}, but is {prestretch!r}."
                     )
 
     def lock_up_stretch(self) -> tuple[float, bool]:
         """The largest apex stretch of the default window, and whether it is a lock-up."""
-        return self.material.lock_up_stretch(float(self.prestretch))
+        return window_end(self.material, float(self.prestretch))
 
     def check_breaks_at_apex(self) -> None:
         """Refuses a breakdown law under which a place other than the apex may be the first to break.

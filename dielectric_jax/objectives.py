@@ -45,7 +45,7 @@ def maximise(
     """
     if not over:
         raise ValueError("`over` must name at least one parameter, but is empty.")
-    axes = [axis_of(name, limits) for name, limits in over.items()]
+    axes = [axis_of(name, limits, scene) for name, limits in over.items()]
     names, limits = tuple(over), list((constraints or {}).items())
     low, high = (np.array([getattr(a, side) for a in axes]) for side in ("low", "high"))
 

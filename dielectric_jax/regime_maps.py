@@ -27,7 +27,7 @@ from .grid_lines import beside_change, chains, changes
 from .outcomes import Outcome, Regime
 from .records import plain
 from .results import LARGEST, check_whole, shown
-from .scene import PARAMETERS, Scene, describe
+from .scene import Scene, describe
 from .surface import Surface
 
 __all__ = ["Boundary", "RegimeEdge", "RegimeMap", "regime_edges", "regime_map"]
@@ -128,10 +128,10 @@ def even(name: str, limits, count: int) -> np.ndarray:
     return values
 
 
-def check_range(name: str, limits) -> tuple[float, float]:
-    """A pair (low, high) of a parameter."""
-    if name not in PARAMETERS:
-        raise ValueError(f"`{name}` must be one of {', '.join(PARAMETERS)}, but is not a parameter of a scene.")
+def check_range(name: str, limits, scene: Scene | None = None) -> tuple[float, float]:
+    """A pair (low, high) of a parameter, which the `scene` has."""
+    if scene is not None:
+        scene.path_of(name)
     try:
         low, high = (float(v) for v in limits)
     except (TypeError, ValueError, OverflowError):
@@ -147,7 +147,7 @@ class _Known:
     """The designs classified so far, by what they are: regimes and ramps."""
 
     def __init__(self, scene: Scene, over: dict, surface):
-        ranges = {name: check_range(name, limits) for name, limits in over.items()}
+        ranges = {name: check_range(name, limits, scene) for name, limits in over.items()}
         self.scene, self.names = scene, tuple(over)
         self.surface = sheet_over(scene, ranges, surface)
         self.parts: list[Designs] = []

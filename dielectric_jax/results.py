@@ -49,37 +49,50 @@ class Code(enum.IntEnum):
 
 _SENTENCES = {
     Code.ok: "The solve succeeded.",
-    Code.window_stretch: "The branch left the stretch window; widen the stretch window to follow it further.",
-    Code.window_load: "The branch left the load window; widen the load window to follow it further.",
-    Code.lock_up: "The apex reached the lock-up of the material; a larger limiting stretch moves this end.",
+    Code.window_stretch: (
+        "The branch left the stretch window; a wider stretch window follows it further, up to the material's largest stretch."
+    ),
+    Code.window_load: (
+        "The branch left the load window; a wider load window, at most from -20 to 1, follows it further."
+    ),
+    Code.lock_up: (
+        "The apex reached the lock-up of the material, where its `stretch_limit` or `chain_links` sets the limit."
+    ),
     Code.apex_cone: (
         "The apex sharpens to a cone, where the tension vanishes, and the error estimate exceeds the tolerance; "
         "loosen the tolerance to follow the branch a little further."
     ),
     Code.closed: "The branch is an isolated loop and returned to its first point.",
-    Code.step_too_small: "The continuation step shrank below its minimum; try a smaller minimum step.",
-    Code.too_many_points: "The continuation met its limit of points; raise the limit or the largest step.",
+    Code.step_too_small: "The continuation step shrank below its minimum, `smallest` of `Steps`.",
+    Code.too_many_points: (
+        "The branch is longer than the continuation follows; a narrower stretch window or load window shows a part of it whole."
+    ),
     Code.not_converged: "Newton did not converge; try a start nearer to an equilibrium.",
-    Code.no_equilibrium: "No tensile equilibrium of this scene lies in the window; lower the voltage or widen the window.",
+    Code.no_equilibrium: (
+        "No tensile equilibrium of this scene lies in the window; try a lower voltage, or a wider stretch window or load window."
+    ),
     Code.flat_unstretched: (
         "The membrane is flat and unstretched, so it carries no tension; ask for a positive pressure or volume, "
         "or a prestretch above 1."
     ),
     Code.no_fold: "The ramp up has no fold of a stable branch in the window, so there is no snap.",
-    Code.breakdown: "The apex reached electric breakdown; what lies beyond it no membrane survives.",
+    Code.breakdown: "The apex reached electric breakdown; no membrane survives beyond it.",
     Code.near_flat: (
         "The pressure or volume is so small that double precision does not tell the membrane from a flat one; "
         "ask for a larger one, or for 0, the flat membrane."
     ),
-    Code.surface_edge: "The branch leaves the domain of the surface; extend it by shooting to follow it further.",
+    Code.surface_edge: "The branch leaves the domain of the surface; `extend=True` of `voltage_volume` follows it further by shooting.",
     Code.no_landing: "The ramp up ends in a snap: the window holds no stable state at that voltage to land on.",
     Code.start_unstable: "The state at zero voltage is not stable, so no ramp starts from it.",
-    Code.no_breakdown: "The ramp up ends at the window's edge without electric breakdown; widen the window.",
+    Code.no_breakdown: (
+        "The ramp up ends at the window's edge without electric breakdown; a wider stretch window or load window follows it "
+        "further."
+    ),
     Code.no_snap_back: "The ramp down meets no fold above zero voltage, so there is no snap-back.",
     Code.no_pressure_fold: "The pressure-volume curve at this voltage has no such fold in the window.",
     Code.no_zero_voltage_state: "The window holds no such state at zero voltage.",
     Code.no_bistability: "No chamber, however large, has a second stable state at zero voltage with this filling.",
-    Code.no_cusp: "No two folds merge within the range that was searched; try another one.",
+    Code.no_cusp: "No two folds merge within the range that was searched; try another range, `within`.",
     Code.flat_film: "The film is flat at zero voltage and stays so; ask for a positive pressure or volume.",
     Code.other_membrane: "The surface was built for another membrane than that of the scene; build one for it.",
     Code.beyond_tolerance: "The error estimate exceeds the tolerance; ask for a looser tolerance.",

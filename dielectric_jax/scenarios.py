@@ -10,7 +10,7 @@ import scipy.stats
 from .designs import surface_for
 from .family import SurfaceFamily
 from .results import check_between
-from .scene import PARAMETERS, Scene
+from .scene import Scene, place_of
 from .surface import Surface
 
 __all__ = ["Scenario", "scenarios_of"]
@@ -37,7 +37,7 @@ class Scenario:
 def value_of(scene: Scene, name: str) -> float:
     """The value of a parameter of a scene; ValueError where it has none of that name."""
     part: typing.Any = scene
-    for step in PARAMETERS.get(name, ("",)):
+    for step in scene.path_of(name):
         part = getattr(part, step, None)
     if part is None:
         raise ValueError(f"`{name}` must be a parameter of this scene, but it has none of that name.")
@@ -70,7 +70,7 @@ def scenarios_of(
     for factors in _factors(uncertain, quantile):
         changes = {n: value_of(scene, n) * f for n, f in factors.items() if n not in names}
         own = scene.replace(**changes)
-        key = tuple(f for n, f in factors.items() if PARAMETERS[n][:2] == ("membrane", "material"))
+        key = tuple(f for n, f in factors.items() if place_of(n)[:2] == ("membrane", "material"))
         given = surface if all(f == 1 for f in key) else None
         if "prestretch" in changes:
             key, given = (*key, changes["prestretch"]), surface if isinstance(surface, SurfaceFamily) else None

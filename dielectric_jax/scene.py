@@ -3,9 +3,11 @@
 The scene decides what is integrated: which derivatives the loading's condition needs, and where the window ends.
 """
 
+import dataclasses
 import typing
 
 import equinox as eqx
+import jax
 import numpy as np
 
 from .elastomers import CustomPermittivity, Electrostrictive, MooneyRivlin, Ogden
@@ -21,6 +23,7 @@ from .loading import (
 )
 from .materials import (
     AbstractDielectric,
+    AbstractMaterial,
     ArrudaBoyce,
     ConstantBreakdown,
     CustomMaterial,
@@ -38,7 +41,8 @@ __all__ = ["PARAMETERS", "Scene", "Window", "describe", "pair"]
 _OWNERS = {"chamber_volume": Chamber, "volume": PrescribedVolume}
 SCANNED_LOAD = 0.9  # the scan covers load fractions up to this
 
-#: every continuous parameter of a scene, and where it lives; the last four, in SI, where the scene carries `units`
+#: every continuous parameter of a scene, and where it lives; the last four, in SI, where the scene carries `units`;
+#: the constants of a user's material have the names of its fields
 PARAMETERS = {
     "chamber_volume": ("loading", "volume"),
     "initial_volume": ("loading", "initial_volume"),
@@ -64,6 +68,21 @@ PARAMETERS = {
 }
 
 
+def place_of(name: str) -> tuple[str, ...]:
+    """Where a scene keeps a parameter: a published one, or else a constant of a user's material."""
+    return PARAMETERS.get(name, ("membrane", "material", name))
+
+
+def constants_of(material) -> list[str]:
+    """The names of a material's constants: its fields that are numbers, or tuples of them."""
+
+    def is_constant(field) -> bool:
+        leaves = jax.tree.leaves(getattr(material, field.name))
+        return not field.metadata.get("static", False) and bool(leaves) and not any(map(np.ndim, leaves))
+
+    return [f.name for f in dataclasses.fields(material) if f.name != "elastic" and is_constant(f)]
+
+
 def pair(name, value) -> tuple[float, float]:
     """Two finite numbers, the lower first; raises ValueError by the name otherwise."""
     try:
@@ -80,7 +99,11 @@ def pair(name, value) -> tuple[float, float]:
 class Window(eqx.Module):
     """The part of the chart that is searched: apex stretch, and load fraction t = q/q_max(λa).
 
-    `apex_stretch=None` means from the prestretch to the lock-up of the material (12 prestretches where it has none).
+    `apex_stretch=None` means from the prestretch to the material's largest stretch, beyond which no window goes: its lock-up
+    (Gent 0.99 J, Arruda–Boyce ρ = 0.995); 12 prestretches where it has none; what a user's material says. A material without
+    lock-up that stiffens before (Ogden with large exponents, Mooney–Rivlin at large prestretches) ends where the
+    balloon pressure 2s/λ² of its equal-biaxial tension s(λ) reaches 100, (λ − 1) s'/s reaches 210, or s falls to zero. A Gent
+    film that locks at a small stretch reaches the same pressure; above it branches are too steep to follow.
     """
 
     apex_stretch: tuple[float, float] | None = eqx.field(
@@ -121,6 +144,12 @@ class Scene(eqx.Module):
             raise ValueError(
                 f"`loading` must be a loading such as Chamber(...), but is a {type(self.loading).__name__}."
             )
+        for name in constants_of(self.membrane.material):
+            if place_of(name) != ("membrane", "material", name):
+                raise ValueError(
+                    f"`{name}` must not be the name of a material's constant, because it is that of a parameter of "
+                    f"the {place_of(name)[0]}."
+                )
         if self.units is not None:
             if not isinstance(self.units, Units):
                 raise ValueError(f"`units` must be a Units, but is a {type(self.units).__name__}.")
@@ -175,21 +204,31 @@ class Scene(eqx.Module):
 
     def path_of(self, name: str) -> tuple[str, ...]:
         """Where the scene keeps a parameter; raises ValueError where it has none of that name."""
-        path = PARAMETERS.get(name, ())
-        if path[:2] == ("membrane", "material") and not _has(self, path):
+        path = place_of(name)
+        if path[:2] == ("membrane", "material") and not self._holds(path):
             path = (*path[:2], "elastic", path[-1])  # the elasticity of a dielectric
-        if not path:
-            raise ValueError(f"`{name}` must be one of {', '.join(PARAMETERS)}, but is not a parameter of a scene.")
+        if name not in PARAMETERS and not self._holds(path):
+            own = dict.fromkeys((*PARAMETERS, *constants_of(self.membrane.material)))
+            raise ValueError(f"`{name}` must be one of {', '.join(own)}, but is not a parameter of a scene.")
         own = _OWNERS.get(name, AbstractLoading)
         if isinstance(self.loading, ChargeControl) and path[0] == "loading":
             path = ("loading", *path)
-        if not (_has(self, path) and isinstance(mechanical(self.loading), own)):
+        if not (self._holds(path) and isinstance(mechanical(self.loading), own)):
             raise ValueError(
                 f"`{name}` must be a parameter of this scene, but its {path[0]} has none of that name."
                 if path[0] != "units" or self.units is not None
                 else f"`{name}` must be a parameter of this scene, but it carries no `units`."
             )
         return path
+
+    def _holds(self, path: tuple[str, ...]) -> bool:
+        """Whether there is a parameter at this place."""
+        module = self
+        for step in path[:-1]:
+            module = getattr(module, step, None)
+        if isinstance(module, AbstractMaterial):
+            return path[-1] in constants_of(module)
+        return module is not None and path[-1] in _fields(module)
 
     def _in(self, units: Units) -> "Scene":
         """The same loading and breakdown field in SI on a film of other constants."""
@@ -216,7 +255,7 @@ class Scene(eqx.Module):
             raise ValueError(f"`stretch_window` must end above the prestretch {prestretch:g}, but ends at {high!r}.")
         if not low < lock_up:
             raise ValueError(
-                f"`stretch_window` must begin below the lock-up stretch {lock_up:.6g}, but begins at {low!r}."
+                f"`stretch_window` must begin below the material's largest stretch {lock_up:.6g}, but begins at {low!r}."
             )
         return (max(low, prestretch), min(high, lock_up)), locks and high >= lock_up, self.window.load_fraction
 
@@ -247,14 +286,6 @@ def _check_law(law, units: Units) -> None:
             )
 
 
-def _has(module, path) -> bool:
-    for name in path:
-        if module is None or name not in _fields(module):
-            return False
-        module = getattr(module, name)
-    return True
-
-
 def _rebuild(module, path, changes):
     """A copy with fields changed, through the constructors, so that every check runs again."""
     if path:
@@ -281,8 +312,7 @@ _MATERIAL_NAMES = {
 
 def _constants(material) -> dict:
     """A material's own numbers, under their published names."""
-    known = [n for n, path in PARAMETERS.items() if path[:2] == ("membrane", "material") and _has(material, path[2:])]
-    return {n: np.asarray(getattr(material, n), float).tolist() for n in known}
+    return {n: np.asarray(getattr(material, n), float).tolist() for n in constants_of(material)}
 
 
 def describe(what: Scene | Membrane) -> dict:

@@ -9,7 +9,7 @@ import numpy as np
 from .axes import Axis, axes_of, read_scenes, samples, zipped
 from .documents import check_dimensionless, number, one_of, read_toml, refuse, scene_of, table, values
 from .results import shown
-from .scene import PARAMETERS, Scene
+from .scene import Scene, place_of
 
 __all__ = ["read_specification"]
 
@@ -103,13 +103,13 @@ def read_specification(path) -> tuple[Scene, list[Axis], dict[str, typing.Any]]:
     if any(name.startswith("initial_") for name in varied):
         given = {name: value for name, value in given.items() if not name.startswith("initial_")}
     constants = dict(table("units", document.get("units", {})))
-    of_units = [n for n in varied if PARAMETERS[n][0] == "units"]
+    of_units = [n for n in varied if place_of(n)[0] == "units"]
     if of_units and not constants:
         raise ValueError(f"`{of_units[0]}` must have a [units] table of the scene's own constants, but there is none.")
     columns = {name: column for axis in axes for name, column in axis.columns.items()}
     scene = scene_of(given | {n: v for n, v in varied.items() if n not in of_units}, constants)
     check_dimensionless(given | columns, constants)
-    scaled = [n for n in varied if PARAMETERS[n][0] == "loading" and _changes_with(n, of_units, scene)]
+    scaled = [n for n in varied if place_of(n)[0] == "loading" and _changes_with(n, of_units, scene)]
     if scaled:
         raise ValueError(
             f"`{scaled[0]}` must not vary together with `{of_units[0]}`, which changes the unit it is counted in; give it in "

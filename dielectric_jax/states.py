@@ -9,10 +9,11 @@ from scipy.interpolate import make_interp_spline
 from scipy.optimize import root_scalar
 
 from .chart import cached_scan, map_nodes, stretch_shares
+from .energies import require_float64
 from .equilibria import Points, polish
 from .loading import Chamber, ConstantPressure, ConstantVoltage, PrescribedVolume, mechanical
 from .materials import as_scalar, capacitance, field_on, is_concrete, largest_load
-from .membrane import Membrane, require_float64
+from .membrane import Membrane
 from .records import State, voltage_of
 from .results import Code, SceneError, check_positive, shown
 from .scene import Scene, Window
@@ -86,7 +87,6 @@ def flat_state(membrane: Membrane, q: float) -> State:
 def filling(scene: Scene, tolerance: float) -> tuple[float | None, float | None]:
     """(p_0, V_0) of a chamber at zero voltage, (0, 0) for a flat film, (None, None) without a chamber."""
     loading, membrane = mechanical(scene.loading), scene.membrane
-    flat = (0.0, 0.0)
     if isinstance(loading, ConstantPressure):
         filled = float(loading.pressure) > 0
     elif isinstance(loading, PrescribedVolume):
@@ -100,7 +100,7 @@ def filling(scene: Scene, tolerance: float) -> tuple[float | None, float | None]
     if not filled:
         if float(membrane.prestretch) == 1.0:
             raise SceneError(Code.flat_unstretched)
-        return flat
+        return 0.0, 0.0
     if not isinstance(loading, Chamber):
         return None, None
     name = "initial_volume" if loading.initial_volume is not None else "initial_pressure"
@@ -111,7 +111,7 @@ def filling(scene: Scene, tolerance: float) -> tuple[float | None, float | None]
             raise SceneError(Code.near_flat)
         most = _reach(membrane, name.removeprefix("initial_"))
         raise ValueError(
-            f"`{name}` must lie between 0 and {most:.6g}, what the membrane reaches at zero voltage up to its lock-up, "
+            f"`{name}` must lie between 0 and {most:.6g}, what the membrane reaches at zero voltage up to its largest stretch, "
             f"but is {wanted!r}."
         )
     return (state.pressure, wanted) if name == "initial_volume" else (wanted, state.volume)
@@ -255,7 +255,7 @@ def check_reachable(membrane: Membrane, volume: float) -> None:
     most = _reach(membrane, "volume")
     if volume > most:
         raise ValueError(
-            f"`volume` must lie between 0 and {most:.6g}, what the membrane reaches up to its lock-up, but is {volume!r}."
+            f"`volume` must lie between 0 and {most:.6g}, what the membrane reaches up to its largest stretch, but is {volume!r}."
         )
     if too_flat(membrane, "volume", volume):
         raise SceneError(Code.near_flat)

@@ -20,10 +20,10 @@ from .archive import fingerprint
 from .axes import Axis, Design, axes_of
 from .cache import enabled_folder
 from .columns import Answer, variables_of
+from .energies import require_float64
 from .executors import Progress, executor_of, run_blocks
 from .kept import source_digest
 from .loading import Chamber, ConstantPressure
-from .membrane import require_float64
 from .results import StoreError, check_whole
 from .scene import Scene, describe
 from .states import check_request

@@ -26,6 +26,7 @@ _TOPS = ((0.7, 0.85), (0.82, 0.97), (2.0, 2.0), (2.0, 2.0))
 _TOP_NEAR_LOCK_UP = 0.94
 _FLAT = 0.01  # of λa − λ0
 _RESTART = 0.1  # how far a finer grid may move a point of a coarser one
+_MOST_PARTS = 12  # of a trace, each as long as a compiled trace can be
 
 
 _CODES = (
@@ -102,12 +103,16 @@ def run_trace(membrane, contour, limits, seed, direction, *, level=0, largest=_S
     """
     level %= len(_TRACE_STEPS)
     start = np.asarray(seed), np.asarray(direction)
-    points, tangents, code = _run_trace(membrane, contour, limits, *start, level, largest, _STEPS.largest)
+    given = level, largest, _STEPS.largest, _MOST_PARTS
+    points, tangents, code = _run_trace(membrane, contour, limits, *start, *given)
     return points, tangents / SCALE, code
 
 
-def _run_trace(membrane, contour, limits, seed, direction, level, largest, farthest):
-    """One trace; where it leaves the region its grid resolves it goes on from there on the finer grid."""
+def _run_trace(membrane, contour, limits, seed, direction, level, largest, farthest, parts):
+    """One trace; where it leaves the region its grid resolves it goes on from there on the finer grid.
+
+    Where it is as long as a compiled trace can be it goes on with another, of `parts` in all.
+    """
     # at the flat end everything shrinks with λa − λ0; elsewhere a shorter step only meets the noise about a cone
     flat = seed[0] - float(membrane.prestretch) < _FLAT
     lengths = np.array([_STEPS.smallest * (1e-2 if flat else 1.0), largest, farthest])
@@ -116,14 +121,17 @@ def _run_trace(membrane, contour, limits, seed, direction, level, largest, farth
     done = Trace(*_trace_program(membrane.material, membrane.prestretch, contour, *lanes))
     count, code = int(done.count), Code(int(done.code))
     points, tangents = np.asarray(done.points)[:count], np.asarray(done.tangents)[:count]
-    if code not in (Code.beyond_tolerance, Code.step_too_small) or level + 1 == len(_TRACE_STEPS):
+    long = code is Code.too_many_points and parts > 1
+    lost = code in (Code.beyond_tolerance, Code.step_too_small) and level + 1 < len(_TRACE_STEPS)
+    if not (long or lost):
         return points, tangents, code
     if count <= 1:  # it never began
-        return _run_trace(membrane, contour, limits, seed, direction, level + 1, largest, farthest)
+        return _run_trace(membrane, contour, limits, seed, direction, level + 1, largest, farthest, parts)
     # on from the last point inside
-    finer = _run_trace(membrane, contour, limits, points[-2], tangents[-2], level + 1, largest, _RESTART)
+    further = level + lost, largest, _RESTART, parts - long
+    finer = _run_trace(membrane, contour, limits, points[-2], tangents[-2], *further)
     if len(finer[0]) < 2:
-        return points[:-1], tangents[:-1], Code.step_too_small
+        return points[:-1], tangents[:-1], code if long else Code.step_too_small
     return np.concatenate([points[:-2], finer[0]]), np.concatenate([tangents[:-2], finer[1]]), finer[2]
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from .elements import NODES, Element, Task, coefficients, marks, node_points, refine
 from .kept import kept_jit
 from .materials import AbstractMaterial, largest_load
-from .membrane import slopes
+from .membrane import slopes, window_end
 from .programs import CHUNK, threads
 from .sheet import AbstractBuilder, columns, logarithms, rim_state, state_rates
 from .shooting import eighth_order_step, integrate_membrane
@@ -137,7 +137,7 @@ def build_trajectory_elements(
     """
     low, high = prestretch
     least = np.linspace(low, high, 65)
-    windows = np.array([material.lock_up_stretch(float(x))[0] for x in least])
+    windows = np.array([window_end(material, float(x))[0] for x in least])
     todo = []
     for task in columns(low, float(windows.max()), bottom, top):
         a0, a1 = task.edges[0]

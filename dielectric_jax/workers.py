@@ -29,7 +29,7 @@ from .locks import alone
 from .membrane import Membrane
 from .outcomes import Regime
 from .results import SceneError
-from .scene import PARAMETERS, Scene
+from .scene import PARAMETERS, Scene, place_of
 from .surface import Surface
 
 __all__ = ["Job", "compute_block", "surface_of"]
@@ -117,7 +117,7 @@ def surface_of(membrane: Membrane, tolerance: float, family: tuple[float, float]
 
 def _groups(names: list[str], columns: dict[str, np.ndarray], count: int):
     """The scenes of each membrane: their places, and the values that set the membrane."""
-    own = [name for name in names if PARAMETERS[name][0] != "loading"]
+    own = [name for name in names if place_of(name)[0] != "loading"]
     if not own:
         yield np.arange(count), {}
         return
@@ -143,7 +143,7 @@ class _Block:
 
     def loadings(self, which: np.ndarray) -> dict[str, np.ndarray]:
         """The varied parameters of the loading, of some scenes."""
-        return {n: column[which] for n, column in self.columns.items() if PARAMETERS[n][0] == "loading"}
+        return {n: column[which] for n, column in self.columns.items() if place_of(n)[0] == "loading"}
 
     def scenes(self, which: np.ndarray) -> list[Scene]:
         """The scenes of some places, in their order."""

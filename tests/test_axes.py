@@ -79,7 +79,7 @@ def test_a_wrong_table_is_refused(tmp_path, text, said):
     path = tmp_path / "scenes.csv"
     path.write_text(text)
     with pytest.raises(ValueError) as error:
-        dj.read_scenes(path)
+        Design(SCENE, (dj.read_scenes(path),))  # which names there are the scene says
     assert said in str(error.value)
 
 

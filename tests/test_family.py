@@ -174,7 +174,7 @@ def test_bad_input(family):
     for wrong in ((0.9, 2.0), (2.0, 1.0), (1.0, 1.0), 2.0, (1.0, float("nan")), (1.0, 2.0, 3.0)):
         with pytest.raises(ValueError, match="`prestretch` must be two rising numbers"):
             dj.SurfaceFamily.build(dj.Gent(), prestretch=wrong)
-    with pytest.raises(ValueError, match="below the material's limiting stretch"):
+    with pytest.raises(ValueError, match="below the material's largest stretch"):
         dj.SurfaceFamily.build(dj.Gent(), prestretch=(1.0, 12.0))
     with pytest.raises(ValueError, match="`tolerance`"):
         dj.SurfaceFamily.build(dj.Gent(), tolerance=1e-14)

@@ -15,6 +15,7 @@ ROOMS = [
     "units",
     "tables",
     "records",
+    "energies",
     "materials",
     "elastomers",
     "membrane",
