@@ -31,7 +31,7 @@ __all__ = ["elementwise", "kept_jit", "of_this_package", "source_digest"]
 # the widest vectors that the processor has; XLA would take half of them on many
 _OPTIONS: typing.Any = {"xla_cpu_prefer_vector_width": 512}
 _PACKAGE = __name__.split(".")[0]
-_MOST_LIVE = 20e6  # bytes of optimised programs in XLA's own format; in memory a program takes some forty times its own
+_MOST_LIVE = 24e6  # bytes of optimised programs in XLA's own format; in memory a program takes some forty times its own
 _MOST_SHELVED = 100e6  # bytes of packed programs, some 0.3 MB each
 
 
