@@ -67,6 +67,17 @@ def _versions() -> bytes:
     return digest.digest()
 
 
+_read_from_cache: list[str] = []  # whether JAX's own cache has given this process a program
+
+
+def _listen(event: str, **_) -> None:
+    if event == "/jax/compilation_cache/cache_hits" and not _read_from_cache:
+        _read_from_cache.append(event)
+
+
+jax.monitoring.register_event_listener(_listen)
+
+
 class _Live:
     """A program that is being made, or is there."""
 
@@ -126,7 +137,7 @@ class Programs:
 
     def _pack(self, key, program) -> None:
         # what JAX's own cache holds is read from there, and what came from there cannot be packed: its code is missing
-        if key in self._shelf or _setting("jax_compilation_cache_dir"):
+        if key in self._shelf or _setting("jax_compilation_cache_dir") or _read_from_cache:
             return
         with contextlib.suppress(Exception):  # some backends cannot
             content, *trees = serialize_executable.serialize(program)
