@@ -31,7 +31,7 @@ __all__ = ["elementwise", "kept_jit", "of_this_package", "source_digest"]
 # the widest vectors that the processor has; XLA would take half of them on many
 _OPTIONS: typing.Any = {"xla_cpu_prefer_vector_width": 512}
 _PACKAGE = __name__.split(".")[0]
-_MOST_LIVE = 20e6  # bytes of optimised programs in XLA's own format; in memory a program takes some forty times its own
+_MOST_LIVE = 24e6  # bytes of optimised programs in XLA's own format; in memory a program takes some forty times its own
 _MOST_SHELVED = 100e6  # bytes of packed programs, some 0.3 MB each
 
 
@@ -65,6 +65,17 @@ def _versions() -> bytes:
     for name in ("jax", "jaxlib", "equinox", "diffrax"):
         digest.update(f"{name} {importlib.metadata.version(name)}".encode())
     return digest.digest()
+
+
+_read_from_cache: list[str] = []  # whether JAX's own cache has given this process a program
+
+
+def _listen(event: str, **_) -> None:
+    if event == "/jax/compilation_cache/cache_hits" and not _read_from_cache:
+        _read_from_cache.append(event)
+
+
+jax.monitoring.register_event_listener(_listen)
 
 
 class _Live:
@@ -126,7 +137,7 @@ class Programs:
 
     def _pack(self, key, program) -> None:
         # what JAX's own cache holds is read from there, and what came from there cannot be packed: its code is missing
-        if key in self._shelf or _setting("jax_compilation_cache_dir"):
+        if key in self._shelf or _setting("jax_compilation_cache_dir") or _read_from_cache:
             return
         with contextlib.suppress(Exception):  # some backends cannot
             content, *trees = serialize_executable.serialize(program)

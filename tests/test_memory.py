@@ -5,6 +5,7 @@ import collections
 import jax
 import numpy as np
 import pytest
+from jax.experimental.compilation_cache import compilation_cache
 
 import dielectric_jax as dj
 from dielectric_jax import cache, kept
@@ -70,7 +71,8 @@ def shots(share, count):
     film(share).check_breaks_at_apex()
 
 
-def test_other_constants_and_counts_compile_nothing():
+def test_other_constants_and_counts_compile_nothing(monkeypatch):
+    monkeypatch.setattr(kept, "_PROGRAMS", kept.Programs(most_live=1e9))  # nothing is given up here
     ways = curves, states, batches, surfaces, points, shots
     for share, count in ((0.0, 3), (0.5, 17)):  # the second takes the turns that the first did not
         for ask in ways:
@@ -105,8 +107,10 @@ STRESSES = (
 def test_programs_out_of_use_are_given_up_and_come_back(packed, monkeypatch, tmp_path):
     monkeypatch.setattr(cache, "_enabled", None if packed else tmp_path)
     program, programs = stress_program(1.0, monkeypatch)  # one program is already too many
+    monkeypatch.setattr(kept, "_read_from_cache", [])
     folder = jax.config.jax_compilation_cache_dir
     jax.config.update("jax_compilation_cache_dir", None if packed else folder)
+    compilation_cache.reset_cache()  # JAX remembers the folder it began with
     try:
         for _ in range(2):
             before = compiled.total()
@@ -117,6 +121,7 @@ def test_programs_out_of_use_are_given_up_and_come_back(packed, monkeypatch, tmp
         assert (compiled.total() - before == 0) == packed
     finally:
         jax.config.update("jax_compilation_cache_dir", folder)
+        compilation_cache.reset_cache()
 
 
 def test_the_programs_of_a_users_functions_are_bounded(monkeypatch):
