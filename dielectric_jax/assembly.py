@@ -414,4 +414,5 @@ def tell_ramps(crowd: Crowd, owner: np.ndarray, of: Assembly, start: Met, left: 
     ]
     for mark in marks:  # where the start is unstable only the start is known
         mark[~stable] = np.nan
-    return Told(told, *marks, snaps, outcome, ahead)
+    folds, zeros, breaks = marks
+    return Told(told, folds, zeros, breaks, snaps, outcome, ahead)

@@ -135,7 +135,7 @@ def _line(field: _Field, contour: Contour, apex: np.ndarray, load: np.ndarray) -
 
 def _first(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The first place along the last axis where a mask holds, and whether it does."""
-    return np.argmax(mask, axis=-1), mask.any(axis=-1)
+    return np.argmax(mask, axis=-1), np.asarray(mask.any(axis=-1))
 
 
 def _side(value: np.ndarray, noise) -> np.ndarray:
@@ -265,7 +265,7 @@ def landings(crowd: Crowd, membrane: Membrane, which: np.ndarray, folds: np.ndar
         clear, lands, found.guess[part] = _clear(line, field, folds[part, 0])
         found.kind[part[clear & ~lands]] = Landing.none
         for k in np.flatnonzero(~clear | (exact & lands)):
-            candidates, vague = (found.guess[part[k]][None], False) if clear[k] else _candidates(line, field, k)
+            candidates, vague = (found.guess[part[k]][None], False) if clear[k] else _candidates(line, field, int(k))
             if not vague:
                 seeds.append((int(part[k]), candidates))
         found.kind[part] = np.where(clear & lands, Landing.broken, found.kind[part])
