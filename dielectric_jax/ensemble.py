@@ -299,12 +299,13 @@ def landings_on(surface: Surface, given: dict, folds: np.ndarray) -> np.ndarray:
     given = {name: np.broadcast_to(np.asarray(v, float), count) for name, v in given.items()}
     columns, kind = _loadings(surface, given)
     starts = np.moveaxis(first_folds_on(surface, given)[:, :1], 1, 2)  # (n, values, events)
-    apart = np.column_stack([folds[:, 0], np.full((count, 2), np.nan), folds[:, 1], np.zeros(count)])
+    # of a fold the pressure does not matter, and the volume only where a landing lies below it
+    known = np.column_stack([folds[:, 0], np.zeros((count, 2)), folds[:, 1], np.zeros(count)])
     which = np.flatnonzero(np.isfinite(folds).all(axis=1) & np.isfinite(starts[:, 1, 0]))
     guess = np.full((count, 2), np.nan)
     if len(which):
         crowd = _crowd(surface, _contour(columns, kind, starts, which))
-        found = landings(crowd, surface.membrane, np.arange(len(which)), apart[which], exact=False)
+        found = landings(crowd, surface.membrane, np.arange(len(which)), known[which], exact=False)
         guess[which] = np.where(np.isfinite(found.state[:, :2]), found.state[:, :2], found.guess)
     return guess
 

@@ -232,6 +232,30 @@ def elementwise(function: Callable, *, lanes: int = 512) -> Callable:
     return call
 
 
+def identity(function: Callable) -> str | None:
+    """What a function is in any process: its module and name, and what it closes over; None where that has no name.
+
+    Two functions made by one factory share their name, so their traces must not share a file.
+    """
+    parts = [f"{function.__module__}.{function.__qualname__}"]
+    if function.__defaults__ or function.__kwdefaults__:
+        parts.append(repr((function.__defaults__, function.__kwdefaults__)))
+    for cell in function.__closure__ or ():
+        value = cell.cell_contents
+        own = identity(value) if inspect.isfunction(value) else repr(value) if _has_name(value) else None
+        if own is None:
+            return None
+        parts.append(own)
+    return f"({' '.join(parts)})"
+
+
+def _has_name(value) -> bool:
+    """Whether `repr` says all of a value: text, numbers, and tuples of them."""
+    if isinstance(value, tuple):
+        return all(map(_has_name, value))
+    return value is None or isinstance(value, (str, bool, int, float))
+
+
 def _compiled(function: Callable, tree, shapes, folder: pathlib.Path | None):
     """The compiled program of a function of the leaves of its arguments; its trace is read from the folder, or written there."""
 
@@ -239,7 +263,11 @@ def _compiled(function: Callable, tree, shapes, folder: pathlib.Path | None):
         return function(*jax.tree.unflatten(tree, leaves))
 
     arguments = [jax.ShapeDtypeStruct(*shape) for shape in shapes]
-    exported = None if folder is None else _kept(function.__name__, of_leaves, arguments, folder, (tree, shapes))
+    name = identity(function)
+    exported = None
+    if folder is not None and name is not None:
+        path = folder / f"{function.__name__.strip('_')}-{_digest(name, tree, shapes)}"
+        exported = _kept(path, of_leaves, arguments)
     run = of_leaves if exported is None else exported.call
 
     def named(*leaves):
@@ -249,10 +277,13 @@ def _compiled(function: Callable, tree, shapes, folder: pathlib.Path | None):
     return jax.jit(named).lower(*arguments).compile(compiler_options=_OPTIONS)
 
 
-def _kept(name: str, of_leaves: Callable, arguments: list, folder: pathlib.Path, key):
+def _digest(name: str, tree, shapes) -> str:
+    return hashlib.sha256(_versions() + repr((name, str(tree), shapes)).encode()).hexdigest()[:32]
+
+
+def _kept(path: pathlib.Path, of_leaves: Callable, arguments: list):
     """The exported program, read or traced and written; None where it cannot be."""
-    digest = hashlib.sha256(_versions() + repr((name, str(key[0]), key[1])).encode()).hexdigest()[:32]
-    path = folder / f"{name.strip('_')}-{digest}"
+    folder = path.parent
     own = is_own(folder)  # what others may have written is neither run nor joined
     with contextlib.suppress(OSError, ValueError):
         content = path.read_bytes() if own and is_own(path) else b""

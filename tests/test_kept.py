@@ -21,15 +21,27 @@ def folder(monkeypatch, tmp_path):
     return tmp_path / "programs"
 
 
+_TRACES: list = []
+
+
 def fresh():
     """A program that no process has seen, of a material and stretches; and how often it was traced."""
-    traces = []
+    _TRACES.clear()
 
     def first_stress(material, stretch):
-        traces.append(1)
+        _TRACES.append(1)
         return [jax.vmap(jax.grad(material.energy))(stretch, stretch)]
 
-    return kept.kept_jit(first_stress), traces
+    return kept.kept_jit(first_stress), _TRACES
+
+
+def power_program(power):
+    """A program whose name does not say what it closes over."""
+
+    def program(material, stretch):
+        return [material.energy(stretch, stretch) * 0.0 + stretch**power]
+
+    return kept.kept_jit(program)
 
 
 def gent_stress(stretch_limit, stretch):
@@ -45,6 +57,18 @@ def test_a_later_program_is_read_not_traced(folder):
             np.testing.assert_allclose(program(dj.Gent(limit), stretch)[0], gent_stress(limit, stretch), rtol=1e-13)
         assert len(traces) == expected
     assert len(list(folder.iterdir())) == 1
+
+
+def test_programs_of_one_factory_do_not_answer_for_each_other(folder):
+    """They share name, arguments and shapes; what they close over tells them apart, or they are not kept."""
+    stretch = jnp.array([2.0])
+    for _ in range(2):  # traced, then read
+        for power in (2, 3):
+            assert float(power_program(power)(dj.Gent(), stretch)[0][0]) == 2.0**power
+    assert len(list(folder.iterdir())) == 2
+    for power in (jnp.asarray(2.0), jnp.asarray(3.0)):  # an array has no name
+        assert float(power_program(power)(dj.Gent(), stretch)[0][0]) == pytest.approx(2.0 ** float(power))
+    assert len(list(folder.iterdir())) == 2
 
 
 def test_a_damaged_program_is_made_anew(folder):
