@@ -186,7 +186,7 @@ def _edges(known: _Known, one: np.ndarray, other: np.ndarray):
         has = has_event(kind, known.regime)  # begin from there
         source = np.where(has[other[own]], other[own], one[own])
         guess = completed(guesses(kind, designs, source), known.values[source])
-        far = kind == LANDING_LEAVES  # met by shots, and told apart on a coarse chart
+        far = kind == LANDING_LEAVES  # located by shots
         # a side that the surface did not decide may be off by a little
         vague = designs.ramps.outcome == Outcome.unresolved
         beyond = np.where(vague[one[own]] | vague[other[own]] | far, _VAGUE, 0.0)
