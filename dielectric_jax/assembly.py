@@ -12,7 +12,7 @@ from .outcomes import FoldAhead, Outcome
 from .polylines import Places, Polylines
 from .scene import SCANNED_LOAD
 
-__all__ = ["Assembly", "Events", "assemble", "tell_ramps"]
+__all__ = ["Assembly", "Events", "assemble", "ramps_on_lines"]
 
 _LOOKS = 5
 _CLEAR = 0.2  # of the smaller end slope: a dip of the slope that stays above it hides nothing
@@ -373,7 +373,7 @@ class _Ramp:
         return FoldAhead.fold if fractions[fold] <= SCANNED_LOAD else FoldAhead.none
 
 
-class Told(typing.NamedTuple):
+class RampColumns(typing.NamedTuple):
     """The columns of `ensemble.ramps_of` for many scenes, as far as their own lines show."""
 
     events: np.ndarray
@@ -385,8 +385,8 @@ class Told(typing.NamedTuple):
     ahead: np.ndarray
 
 
-def tell_ramps(crowd: Crowd, owner: np.ndarray, of: Assembly, start: Met, left: np.ndarray) -> Told:
-    """What the lines of scenes say of their ramps; the branch from the start of scene k is line k.
+def ramps_on_lines(crowd: Crowd, owner: np.ndarray, of: Assembly, start: Met, left: np.ndarray) -> RampColumns:
+    """The ramps of scenes as far as their lines show them; the branch from the start of scene k is line k.
 
     `no_landing` means that no line of the scene has a landing. `left` says of which scenes the line ends where it leaves
     the window.
@@ -415,4 +415,4 @@ def tell_ramps(crowd: Crowd, owner: np.ndarray, of: Assembly, start: Met, left: 
     for mark in marks:  # where the start is unstable only the start is known
         mark[~stable] = np.nan
     folds, zeros, breaks = marks
-    return Told(told, folds, zeros, breaks, snaps, outcome, ahead)
+    return RampColumns(told, folds, zeros, breaks, snaps, outcome, ahead)

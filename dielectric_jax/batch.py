@@ -15,7 +15,7 @@ import jax
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from .assembly import Told, assemble, tell_ramps
+from .assembly import RampColumns, assemble, ramps_on_lines
 from .beyond import Landing, folds_ahead, landings
 from .chart import map_nodes, stretch_shares
 from .crowd import LANES, Crowd, Met, calls, padded, pick
@@ -357,7 +357,7 @@ def _block(scenes: list[Scene], tolerance: float) -> Batch:
     found = assemble(crowd, march.owner, lines, tolerance)
     last = lines.points[np.arange(len(scenes)), np.maximum(march.count - 1, 0), 0] * SCALE[0]
     march.code[(march.code == int(Code.beyond_tolerance)) & (last < locks)] = int(Code.apex_cone)
-    told = tell_ramps(crowd, march.owner, found, start, march.left)
+    told = ramps_on_lines(crowd, march.owner, found, start, march.left)
     ended = np.isin(march.code, (int(Code.breakdown), int(Code.apex_cone)))
     for key, own in by_membrane(scenes).items():
         alone = ~have_others(key.membrane, own, crowd, lines)
@@ -371,7 +371,7 @@ def _block(scenes: list[Scene], tolerance: float) -> Batch:
 
 
 def _settle(
-    crowd: Crowd, membrane: Membrane, own: np.ndarray, told: Told, ended: np.ndarray, alone: np.ndarray
+    crowd: Crowd, membrane: Membrane, own: np.ndarray, told: RampColumns, ended: np.ndarray, alone: np.ndarray
 ) -> None:
     """Settles in place what the lines of scenes `own`, all of one `membrane`, leave open.
 
