@@ -414,8 +414,9 @@ def chamber_ramps(
 ) -> Ramps:
     """The ramps, up and down, of every chamber in arrays of one shape (or numbers, broadcast), on a membrane's surface.
 
-    Chambers that the surface alone does not decide have outcome `Outcome.unresolved` and NaN; `voltage_volume` decides
-    them. Raises ValueError for numbers that are not positive and finite.
+    If the surface cannot determine what a chamber does, its outcome is `Outcome.unresolved` and its numbers are NaN;
+    `voltage_volume` decides it. A snap may land beyond the surface, above breakdown: then the outcome is
+    `breakdown_in_snap` and the numbers of the landing are NaN. Raises ValueError for numbers that are not positive and finite.
 
     >>> from dielectric_jax import Membrane
     >>> ramps = chamber_ramps(Surface.build(Membrane()), [800.0, 1600.0], 2.42)
