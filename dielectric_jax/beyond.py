@@ -31,8 +31,9 @@ _TOGETHER = 64  # lanes that are looked at together, in the cache
 _TOLERANCE = 1e-9
 _REACH = 0.3  # in scaled unknowns, from where the scan shows a landing to the exact one
 _LEAP = 0.12  # of t between rows: further apart two crossings are not one contour
-_SETTLED = 1e-4  # of t, the last step to a crossing
+_CHORDS, _SETTLED = 3, 1e-4  # steps to a crossing; the last of them, in t
 _FALL = 1e-4  # of a load: a maximum by which it falls again is a fold
+_CLOSE, _SLOW = 1e-3, 0.02  # of the stretch; of q/λa: a slope dq/dλa below it may hide two folds
 _TURNING = 0.2  # of the rise before: a contour that leaves the window more slowly may turn outside
 
 
@@ -341,7 +342,9 @@ def folds_ahead(membrane: Membrane, contour: Contour, apex: np.ndarray, load: np
             leaves = ~lost & (found > SCANNED_LOAD)
             falls = ~lost & ~leaves & (here < walk.load[new] * (1 - _FALL))
             turning = leaves & ~(per > _TURNING * rise[new])
-            doubt[new] |= ~lost & ~falls & (here < walk.load[new] * (1 + _FALL)) & (stretch > 1e-3)
+            # between rows that lie close together the noise of the scan is the larger
+            clear = stretch > _CLOSE * walk.apex[new]
+            doubt[new] |= ~lost & ~falls & clear & (per * walk.apex[new] < _SLOW * walk.load[new])
         sure = ~doubt[new] & ~turning
         answer[new[falls & ~doubt[new]]] = FoldAhead.fold
         answer[new[leaves & sure]] = FoldAhead.none
@@ -366,7 +369,7 @@ class _Walk(typing.NamedTuple):
 
 
 def _crossing(field: _Field, contour: Contour, row: int, t: np.ndarray, q: np.ndarray):
-    """t at which contours (lanes,) cross a row near the load fractions t, by three chord steps; and whether they do."""
+    """t at which contours (lanes,) cross a row near the load fractions t, by chord steps; and whether they do."""
     rows = np.full(len(t), row)
 
     def residual(t):
@@ -374,16 +377,17 @@ def _crossing(field: _Field, contour: Contour, row: int, t: np.ndarray, q: np.nd
         p, v = field.at(rows, np.clip(t, -0.9, SCANNED_LOAD))
         return contour.residual(p, v, q) / p
 
-    begin = np.clip(t, -0.9, SCANNED_LOAD - 2e-3)
-    h = np.where(begin > 0.5, -1e-3, 1e-3)
-    value = residual(begin)
+    here = np.clip(t, -0.9, SCANNED_LOAD - 2e-3)
+    h = np.where(here > 0.5, -1e-3, 1e-3)
     with np.errstate(all="ignore"):
-        slope = (residual(begin + h) - value) / h
-        one = np.clip(begin - value / slope, -0.9, SCANNED_LOAD)
-        again = residual(one)
-        slope = np.where(np.abs(one - begin) > 1e-4, (again - value) / (one - begin), slope)
-        two = one - again / slope
-        last = residual(two)
-        found = np.where(two > SCANNED_LOAD, two, two - last / slope)
-        settled = np.isfinite(found) & ((np.abs(last / slope) < _SETTLED) | (two > SCANNED_LOAD))
+        value = residual(here)
+        slope = (residual(here + h) - value) / h
+        found = here - value / slope
+        for _ in range(_CHORDS):
+            new = np.clip(found, -0.9, SCANNED_LOAD)
+            again = residual(new)
+            slope = np.where(np.abs(new - here) > 1e-5, (again - value) / (new - here), slope)
+            # beyond the edge the chord goes on
+            last, here, value, found = again / slope, new, again, new - again / slope
+        settled = np.isfinite(found) & ((np.abs(last) < _SETTLED) | (found > SCANNED_LOAD))
     return found, settled

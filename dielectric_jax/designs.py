@@ -30,6 +30,7 @@ __all__ = [
     "MATERIAL_CONSTANTS",
     "Designs",
     "by_continuation",
+    "by_diagrams",
     "classify_designs",
     "designs_on_surfaces",
     "sheet_over",
@@ -137,7 +138,7 @@ def classify_designs(
     found = designs_on_surfaces(scene, parameters, surface=surface)
     if whole:
         by_continuation(found)
-        _by_diagrams(found)
+        by_diagrams(found)
     return found
 
 
@@ -177,7 +178,7 @@ def by_continuation(found: Designs) -> None:
         found.regime[left] = batch.ramps.regime
 
 
-def _by_diagrams(found: Designs) -> None:
+def by_diagrams(found: Designs) -> None:
     """Settles in place the regimes that continuation leaves open, by whole diagrams one after the other."""
     for i in _left(found):
         with contextlib.suppress(SceneError):

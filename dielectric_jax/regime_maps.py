@@ -16,7 +16,7 @@ from .designs import (
     MATERIAL_CONSTANTS,
     Designs,
     by_continuation,
-    classify_designs,
+    by_diagrams,
     designs_on_surfaces,
     sheet_over,
     surface_for,
@@ -146,19 +146,22 @@ def check_range(name: str, limits, scene: Scene | None = None) -> tuple[float, f
 class _Known:
     """The designs classified so far, by what they are: regimes and ramps."""
 
-    def __init__(self, scene: Scene, over: dict, surface):
+    def __init__(self, scene: Scene, over: dict, surface, *, diagrams: bool = False):
         ranges = {name: check_range(name, limits, scene) for name, limits in over.items()}
         self.scene, self.names = scene, tuple(over)
         self.surface = sheet_over(scene, ranges, surface)
         self.parts: list[Designs] = []
         self.values = np.empty((0, len(over)))
         self.regime = np.empty(0, int)
+        self.diagrams = diagrams  # whether whole diagrams decide what is left
 
     def add(self, values: np.ndarray) -> np.ndarray:
         """Classifies designs (n, parameters); their numbers."""
         parameters = dict(zip(self.names, values.T, strict=True))
         found = designs_on_surfaces(self.scene, parameters, surface=self.surface)
         by_continuation(found)
+        if self.diagrams:
+            by_diagrams(found)
         self.parts.append(found)
         first = len(self.regime)
         self.values = np.concatenate([self.values, values])
@@ -222,7 +225,9 @@ def _bisect(known: _Known, one, other, share, error) -> None:
         middle = (low + high) / 2
         values = begin + middle[:, None] * (end - begin)
         parameters = dict(zip(known.names, values.T, strict=True))
-        same = classify_designs(known.scene, parameters, surface=known.surface).regime == below
+        found = designs_on_surfaces(known.scene, parameters, surface=known.surface)
+        by_continuation(found)
+        same = found.regime == below
         low, high = np.where(same, middle, low), np.where(same, high, middle)
     share[todo], error[todo] = (low + high) / 2, (high - low) / 2
 
@@ -253,7 +258,7 @@ def regime_edges(
     """
     if len(over) != 1:
         raise ValueError(f"`over` must name one parameter, but names {len(over)}.")
-    known, names = _Known(scene, over, surface), tuple(over)
+    known, names = _Known(scene, over, surface, diagrams=True), tuple(over)
     number = known.add(even(names[0], over[names[0]], points)[:, None])
     change = np.flatnonzero(np.diff(known.regime[number]))
     if not len(change):
@@ -337,8 +342,7 @@ def _join_islands(known: _Known, number, whole) -> None:
     """Gives lone designs that no engine decides, in the sliver where two folds merge, the regime about them."""
     unsure = np.zeros(whole.shape, bool)
     there = number >= 0
-    outcome = np.concatenate([d.ramps.outcome for d in known.parts])
-    unsure[there] = outcome[number[there]] == Outcome.unresolved
+    unsure[there] = known.regime[number[there]] == Regime.not_decided
     for regime in np.unique(whole[unsure]):
         labels, _ = typing.cast("tuple[np.ndarray, int]", scipy.ndimage.label(whole == regime))
         sizes = np.bincount(labels.ravel())

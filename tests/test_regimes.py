@@ -63,9 +63,10 @@ def test_landings_leave_the_scanned_window(scene, surface):
     (edge,) = dj.regime_edges(scene, {"chamber_volume": (120.0, 200.0)}, points=20, surface=surface)
     assert (edge.below, edge.above) == (Regime.no_landing, Regime.breaks_in_snap)
     assert edge.kind == "landing leaves the window" and edge.error < 1e-9
-    landing = dj.voltage_volume(scene.replace(chamber_volume=edge.value)).ramp()["landing"][0].state
+    # a ten-millionth inside, where the landing still counts
+    landing = dj.voltage_volume(scene.replace(chamber_volume=edge.value * (1 + 1e-7))).ramp()["landing"][0].state
     share = landing.voltage_squared / float(scene.membrane.largest_load(landing.apex_stretch))
-    assert abs(share - 0.9) < 1e-7
+    assert 0.9 - 1e-6 < share < 0.9
     regimes = [dj.regime_of(scene.replace(chamber_volume=edge.value * f)) for f in (1 - 1e-4, 1 + 1e-4)]
     assert regimes == [Regime.no_landing, Regime.breaks_in_snap]
 

@@ -154,7 +154,7 @@ def test_the_filling_is_of_the_grid_it_is_asked_for(steps):
     ("changes", "words"),
     [
         ({"parameter": "pressure"}, "`pressure` must be a parameter of this scene"),
-        ({"within": (2.0, 1.0)}, "`within` must be finite with low < high, but is"),
+        ({"within": (2.0, 1.0)}, "`within` must be finite, at most 1e\\+50 in size, with low < high, but is"),
         ({"within": 3.0}, "`within` must be a pair"),
         ({"within": (-5.0, 1.0)}, "must be positive"),
         ({"kinds": ("folds",)}, "`kinds` must hold"),
