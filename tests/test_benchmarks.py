@@ -71,6 +71,15 @@ def test_the_first_diagram_is_measured_and_right(tmp_path):
     assert warm["seconds_per_diagram"] < filled["seconds_per_diagram"]
 
 
+def test_sixty_random_scenes_have_one_answer_in_every_way(tmp_path):
+    record, said = quick("one_answer.py", tmp_path)
+    assert "PASSED" in said and record["differing"] == []
+    assert set(record["asked"].values()) == {60} and len(record["asked"]) == 7
+    # what decides by itself leaves nothing open, and the quick ways decide most
+    assert record["undecided"]["diagram"] == record["undecided"]["designs"] == 0
+    assert max(record["undecided"].values()) <= 20
+
+
 def test_chambers_on_the_surface_agree_with_continuation(tmp_path):
     record, said = quick("ensemble.py", tmp_path)
     assert record["compared"] >= 6 and not record["differing"], said
