@@ -256,11 +256,12 @@ class _Lists:
 class _Ramp:
     """The way up and down of one scene over the events of its lines.
 
-    `limits` are those of the membrane at the crossings, see `Crowd.limits`; `ends_in` is the fold of the last snap.
+    `limits` are those of the membrane at the crossings, see `Crowd.limits`; `top` is the largest stretch of the window.
     """
 
-    def __init__(self, of: Assembly, lists: _Lists, main: int, limits: np.ndarray):
+    def __init__(self, of: Assembly, lists: _Lists, main: int, limits: np.ndarray, top: float):
         self.of, self.lists, self.limits = of, lists, limits
+        self.top = top
         self.main = main
         self.told = np.full((5, _EVENTS), np.nan)
         self.snaps = 0
@@ -310,6 +311,9 @@ class _Ramp:
             if fold is None and broken is None:
                 return Outcome.unresolved
             at = [side * e.position[i] if i is not None else np.inf for e, i in ((of.folds, fold), (of.breaks, broken))]
+            first = of.breaks.met.u[broken, 0] if at[1] < at[0] else of.folds.met.u[fold, 0]
+            if first > self.top:
+                return Outcome.unresolved
             if broken is not None and at[1] < at[0]:
                 self.tell(5, "breaks", broken)
                 self.broken_at = broken
@@ -385,13 +389,13 @@ class RampColumns(typing.NamedTuple):
     ahead: np.ndarray
 
 
-def ramps_on_lines(crowd: Crowd, owner: np.ndarray, of: Assembly, start: Met, left: np.ndarray) -> RampColumns:
+def ramps_on_lines(crowd: Crowd, owner: np.ndarray, of: Assembly, start: Met, ends: typing.Any) -> RampColumns:
     """The ramps of scenes as far as their lines show them; the branch from the start of scene k is line k.
 
-    `no_landing` means that no line of the scene has a landing. `left` says of which scenes the line ends where it leaves
-    the window.
+    `no_landing` means that no line of the scene has a landing. `ends.limits` (scenes, 5) are the windows, `ends.left` says of
+    which scenes the line ends where it leaves the window.
     """
-    scenes, lists, begin = len(left), _Lists(of), _values(start)
+    scenes, lists, begin = len(ends.left), _Lists(of), _values(start)
     told = np.full((scenes, 5, _EVENTS), np.nan)
     outcome, snaps = np.full(scenes, int(Outcome.unresolved)), np.zeros(scenes, int)
     ahead = np.full(scenes, int(FoldAhead.unknown))
@@ -399,14 +403,18 @@ def ramps_on_lines(crowd: Crowd, owner: np.ndarray, of: Assembly, start: Met, le
     unstable = start.ok & ~stable
     outcome[unstable], told[unstable, :, 0] = int(Outcome.start_unstable), begin[unstable]
     limits = crowd.limits(of.crossings.met.u[:, 0], owner[of.crossings.line])
-    fractions = of.folds.met.u[:, 2] / crowd.limits(of.folds.met.u[:, 0], owner[of.folds.line])[2]
+    # the last step of a march may leave the window of the stretch: what lies there does not count
+    limits[2, of.crossings.met.u[:, 0] > ends.limits[owner[of.crossings.line], 1]] = 0.0
+    fold = owner[of.folds.line]
+    fractions = of.folds.met.u[:, 2] / crowd.limits(of.folds.met.u[:, 0], fold)[2]
+    fractions[of.folds.met.u[:, 0] > ends.limits[fold, 1]] = np.inf
     for k in np.flatnonzero(stable).tolist():
-        ramp = _Ramp(of, lists, k, limits)
+        ramp = _Ramp(of, lists, k, limits, float(ends.limits[k, 1]))
         ramp.told[:, 0] = begin[k]
         ended = ramp.up()
         if ended is not Outcome.unresolved and ramp.is_sure():
             told[k], outcome[k], snaps[k] = ramp.told, int(ended), ramp.snaps
-            ahead[k] = int(ramp.fold_ahead(fractions, bool(left[k])))
+            ahead[k] = int(ramp.fold_ahead(fractions, bool(ends.left[k])))
     begin = np.where(stable[:, None], begin, np.nan)
     marks = [
         _along_lines(events, begin if events is of.zeros else None, scenes, count)

@@ -303,7 +303,8 @@ class _March:
             with np.errstate(invalid="ignore"):
                 turned = self.tangents[going, at, 2] <= 0
                 left = points[:, 2] > SCANNED_LOAD * self.crowd.limits(np.nan_to_num(points[:, 0], nan=2.0), going)[2]
-            left &= ~turned
+            beyond = points[:, 0] > self.limits[going, 1]  # the last step may leave the window of the stretch
+            left = (left & ~turned) | beyond
             out = np.isin(self.code[going], (int(Code.window_stretch), int(Code.window_load), int(Code.lock_up)))
             self.left[going] = left | out
             full = self.count[going] >= _MOST_POINTS - 8
@@ -357,7 +358,7 @@ def _block(scenes: list[Scene], tolerance: float) -> Batch:
     found = assemble(crowd, march.owner, lines, tolerance)
     last = lines.points[np.arange(len(scenes)), np.maximum(march.count - 1, 0), 0] * SCALE[0]
     march.code[(march.code == int(Code.beyond_tolerance)) & (last < locks)] = int(Code.apex_cone)
-    told = ramps_on_lines(crowd, march.owner, found, start, march.left)
+    told = ramps_on_lines(crowd, march.owner, found, start, march)
     ended = np.isin(march.code, (int(Code.breakdown), int(Code.apex_cone)))
     for key, own in by_membrane(scenes).items():
         alone = ~have_others(key.membrane, own, crowd, lines)

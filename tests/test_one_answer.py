@@ -76,12 +76,16 @@ def test_known_scenes(name):
         assert told["designs"] == told["batch"] == regime
 
 
-def test_a_start_held_by_a_stiff_chamber():
+def test_a_start_held_by_a_stiff_chamber_and_a_fold_beyond_the_window():
     """V_0 = 3.857 lies past the peak of the pressure at V = 2.797; the air holds the membrane, which snaps at Φ = 0.18624058."""
     film = dj.Membrane(dj.MooneyRivlin(0.7102170416433428, 0.00034138315149295594))
     held = dj.Chamber(0.027916957086637915, initial_volume=3.856810870609954)
-    ramps = dj.continue_scenes([dj.Scene(film, held)]).ramps
+    wide = dj.Membrane(dj.MooneyRivlin(0.49547546028692446, 0.004524539713075538))
+    air = dj.Chamber(3620.636095992601, initial_volume=4.229750153290371, atmospheric_pressure=192.54469712026233)
+    ramps = dj.continue_scenes([dj.Scene(film, held), dj.Scene(wide, air)]).ramps
     assert dj.Regime(int(ramps.regime[0])) is dj.Regime.no_landing
+    # a fold at λa = 12.97 lies beyond the window, which ends at 12
+    assert dj.Regime(int(ramps.regime[1])) is dj.Regime.no_snap
     assert abs(ramps.snap.voltage[0, 0] - 0.18624058) < 1e-8
     # at constant pressure the same state is unstable
     pressure = float(ramps.start.pressure[0])
