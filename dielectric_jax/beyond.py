@@ -113,6 +113,7 @@ class _Line(typing.NamedTuple):
     inside: np.ndarray
     edge: np.ndarray
     edge_apex: np.ndarray
+    holed: np.ndarray  # (lanes,): the scan lacks a state of the window beyond the fold, so nothing can be excluded
 
 
 def _line(field: _Field, contour: Contour, apex: np.ndarray, load: np.ndarray) -> _Line:
@@ -131,7 +132,8 @@ def _line(field: _Field, contour: Contour, apex: np.ndarray, load: np.ndarray) -
     edge = at_top[:, :-1] + share * (at_top[:, 1:] - at_top[:, :-1])
     edge_apex = field.apex[:-1] + share * np.diff(field.apex)
     edge = np.where(passes & (edge_apex > apex[:, None]), edge, np.nan)
-    return _Line(residual, _NOISE * np.abs(p), p, inside, edge, edge_apex)
+    holed = ((t <= SCANNED_LOAD) & (field.apex > apex[:, None]) & ~np.isfinite(residual)).any(axis=1)
+    return _Line(residual, _NOISE * np.abs(p), p, inside, edge, edge_apex, holed)
 
 
 def _first(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -188,7 +190,7 @@ def _clear(line: _Line, field: _Field, apex: np.ndarray) -> tuple[np.ndarray, np
     above = (later & (side >= 0)).any(axis=1) | (later_edges & (edge >= 0)).any(axis=1)
     below_it = (later & (side <= 0)).any(axis=1) | (later_edges & (edge <= 0)).any(axis=1)
     one_way = falls & ~before & ~touching & ~down.any(axis=1) & ~up.any(axis=1)
-    clear = (one_way | outside) & (lands | ((at_edge < 0) & ~(above & below_it)))
+    clear = ~line.holed & (one_way | outside) & (lands | ((at_edge < 0) & ~(above & below_it)))
     # where
     one = np.clip(end - 1, 0, count - 1)
     r0, r1 = line.residual[own, one], line.residual[own, end]
@@ -222,7 +224,7 @@ def _candidates(line: _Line, field: _Field, k: int) -> tuple[np.ndarray, bool]:
         turns = (residual[1:-1] - residual[:-2]) * (residual[2:] - residual[1:-1]) < 0
     beside_fold = np.flatnonzero(inside)[:3]
     touches = np.setdiff1d(np.flatnonzero(inner & turns) + 1, beside_fold)
-    return np.reshape(found, (-1, 2)), bool(len(touches))
+    return np.reshape(found, (-1, 2)), bool(len(touches)) or bool(line.holed[k])
 
 
 def _between(field: _Field, line: _Line, k: int, i: int) -> list[float]:
