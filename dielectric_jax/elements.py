@@ -34,6 +34,7 @@ __all__ = [
 
 NODES = (16, 20, 16)  # of an element, along its axes
 _ROUNDS = 7
+_EDGE_ROUNDS = 3  # each more doubles what a surface costs where states end inside the window (Ogden, exponents 1.8 and 3 to 6)
 _MOST_STEPS = 160
 
 Edges: typing.TypeAlias = tuple[tuple[float, float], ...]
@@ -41,12 +42,16 @@ Edges: typing.TypeAlias = tuple[tuple[float, float], ...]
 
 @dataclasses.dataclass(frozen=True)
 class Element:
-    """One box: its edges along each axis, the coefficients (5, 16, 20[, 16]), the steps of its shots, its error."""
+    """One box: its edges along each axis, the coefficients (5, 16, 20[, 16]), the steps of its shots, its error.
+
+    `found` is the share of its nodes at which a state was found.
+    """
 
     edges: Edges
     coefficients: np.ndarray
     steps: float
     error: float = np.inf
+    found: float = 1.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -149,7 +154,8 @@ def fresh_places(elements: list[Element], seed: int, count: int) -> list[np.ndar
 def refine(sampler: Sampler, todo: list[Task], tolerance: float) -> list[Element]:
     """Elements over the boxes of `todo`, each with an error of at most half of `tolerance` at fresh states.
 
-    Those that cutting does not bring there are left out.
+    Those that cutting does not bring there are left out: boxes without a state at once, boxes across the edge of the states
+    after `_EDGE_ROUNDS` cuts.
     """
     done: list[Element] = []
     for round_ in range(_ROUNDS):
@@ -157,6 +163,8 @@ def refine(sampler: Sampler, todo: list[Task], tolerance: float) -> list[Element
             break
         settled, cut = [], []
         for e in sampler.sample(todo):
+            if e.found == 0.0 or (e.found < 1.0 and round_ >= _EDGE_ROUNDS):
+                continue
             (settled if max(_tails(e.coefficients)) <= 0.1 * tolerance else cut).append(e)
         todo = [task for e in cut for task in _cut(e, 0.1 * tolerance)]
         for e in sampler.measure(settled, round_):

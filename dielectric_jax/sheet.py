@@ -30,7 +30,7 @@ from .membrane import Membrane, slopes
 from .programs import run_chunks
 from .shooting import eighth_order_step, integrate_membrane
 
-__all__ = ["QUANTITIES", "build_elements", "columns", "edge_factors", "rim_state", "sheet_states"]
+__all__ = ["QUANTITIES", "build_elements", "columns", "edge_factors", "element", "rim_state", "sheet_states"]
 
 QUANTITIES = ("pressure", "volume", "height", "charge_per_voltage", "energy")
 MAP_STEPS = 28.0  # of the explicit map, which only starts the first shots
@@ -111,6 +111,11 @@ def logarithms(values: np.ndarray, factors) -> np.ndarray:
         return np.log(values / np.asarray(factors))
 
 
+def element(edges, logs: np.ndarray, steps: float) -> Element:
+    """The element through the logarithms (5, n, m[, k]) at its nodes."""
+    return Element(edges, coefficients(logs), steps, found=float(np.isfinite(logs).mean()))
+
+
 class AbstractBuilder(Sampler):
     """Samples boxes with shots, and measures the error of elements at fresh ones."""
 
@@ -173,7 +178,7 @@ class _Builder(AbstractBuilder):
         places = [node_points(task.edges) for task in tasks]
         found = self.shots([t.steps for t in tasks], places, self.guesses(tasks, places))
         logs = [logarithms(v, self.factors(x)).reshape(-1, *NODES[:2]) for v, x in zip(found, places, strict=True)]
-        return [Element(t.edges, coefficients(v), t.steps) for t, v in zip(tasks, logs, strict=True)]
+        return [element(t.edges, v, t.steps) for t, v in zip(tasks, logs, strict=True)]
 
 
 def _first_steps(load_top: float) -> float:

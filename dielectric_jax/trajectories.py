@@ -14,12 +14,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .elements import NODES, Element, Task, coefficients, marks, node_points, refine
+from .elements import NODES, Element, Task, marks, node_points, refine
 from .kept import kept_jit
 from .materials import AbstractMaterial, largest_load
 from .membrane import slopes, window_end
 from .programs import CHUNK, threads
-from .sheet import AbstractBuilder, columns, logarithms, rim_state, state_rates
+from .sheet import AbstractBuilder, columns, element, logarithms, rim_state, state_rates
 from .shooting import eighth_order_step, integrate_membrane
 
 __all__ = ["build_trajectory_elements", "prestretch_at", "share_of"]
@@ -124,7 +124,7 @@ class _Builder(AbstractBuilder):
         for task, found in zip(tasks, states, strict=True):
             found = np.moveaxis(found, 1, 2).reshape(len(found), -1)
             logs = logarithms(found, self.factors(node_points(task.edges)))
-            made.append(Element(task.edges, coefficients(logs.reshape(-1, *NODES)), steps))
+            made.append(element(task.edges, logs.reshape(-1, *NODES), steps))
         return made
 
 
