@@ -7,7 +7,11 @@ and an error in a sentence are no answers. Scenes: Gent J 5–1000, neo-Hookean,
 electrostrictive; prestretch 1–4; V_0 from 0.1 to 1.6 of the volume at the peak of the pressure, or a pressure p_0 up to that
 peak; V_C 0.02–25 000, p_atm 0–1000, polytropic exponents 1 and 1.4; every sixth scene at constant pressure.
 
-    python benchmarks/one_answer.py [--scenes 10000] [--share 0.1] [--seed 0] [--json FILE|-] [--quick]
+A share of the scenes, and every scene whose answers differ, is asked by its whole diagram and by `classify_designs` too: the
+two that decide nearly every scene, and that cost the most.
+
+    python benchmarks/one_answer.py [--scenes 10000] [--minutes M] [--each 10] [--share 0.1] [--kinds NAME,…] [--seed 0]
+                                    [--json FILE|-] [--quick]
 """
 
 import argparse
@@ -25,7 +29,6 @@ import dielectric_jax as dj
 jax.config.update("jax_enable_x64", True)
 dj.enable_compilation_cache()
 
-EACH = 10  # scenes of a membrane
 ALLOWED = 1e-6
 OPEN = "not_decided"
 KINDS = "gent,gent,neo-hookean,mooney-rivlin,ogden,eight-chain,electrostrictive"
@@ -171,8 +174,17 @@ def random_scenes(membrane, count: int, polytropic: bool, random) -> list:
     return [dj.Scene(membrane, random_loading(k, volume, pressure, polytropic, random)) for k in range(count)]
 
 
+def by_loading(scenes: list, which) -> list[tuple[list[int], dict]]:
+    """Those scenes whose loadings have the same parameters together: their numbers, and the columns of their values."""
+    groups = collections.defaultdict(list)
+    for i in which:
+        groups[tuple(parameters_of(scenes[i].loading))].append(i)
+    tables = [(own, [parameters_of(scenes[i].loading) for i in own]) for own in groups.values()]
+    return [(own, {name: [row[name] for row in table] for name in table[0]}) for own, table in tables]
+
+
 def asked_in_every_way(scenes: list, whole, spent=None) -> list[dict]:
-    """The answers of scenes that share a membrane, by way; `whole(answers)` says whether to ask the whole diagram too."""
+    """The answers of scenes that share a membrane, by way; `whole(answers)` says whether to ask the costly ways too."""
     membrane, spent = scenes[0].membrane, collections.Counter() if spent is None else spent
     answers: list[dict] = [{} for _ in scenes]
 
@@ -183,32 +195,31 @@ def asked_in_every_way(scenes: list, whole, spent=None) -> list[dict]:
         return found
 
     try:
-        surface = timed("build", lambda: dj.Surface.build(membrane, cache=False))
+        surface = timed("build", lambda: dj.Surface.build(membrane))
     except ValueError:  # no part of the chart meets the tolerance
         surface = None
     batch = timed("batch", lambda: dj.continue_scenes(scenes).ramps)
-    groups = collections.defaultdict(list)
     for i, scene in enumerate(scenes):
         answers[i]["batch"] = of_ramps(batch, i)
-        groups[tuple(parameters_of(scene.loading))].append(i)
         if surface is not None:
             answers[i]["glance"] = timed("glance", lambda scene=scene: by_glance(scene, surface))
-    for names, own in groups.items():
-        table = [parameters_of(scenes[i].loading) for i in own]
-        columns = {name: [row[name] for row in table] for name in names}
+    for own, columns in by_loading(scenes, range(len(scenes))):
         ways = {
             "sweep by continuation": lambda c=columns, s=scenes[own[0]]: by_sweep(s, c, "continuation"),
             "sweep on the surface": lambda c=columns, s=scenes[own[0]]: by_sweep(s, c, "surface"),
         }
         if surface is not None:
             ways["surface"] = lambda c=columns: by_surface(surface, c)
-            ways["designs"] = lambda c=columns, s=scenes[own[0]]: by_designs(s, c, surface)
         for way, ask in ways.items():
             for i, answer in zip(own, timed(way, ask), strict=True):
                 answers[i][way] = answer
-    for i, scene in enumerate(scenes):
-        if whole(answers[i]):
-            answers[i]["diagram"] = timed("diagram", lambda scene=scene: by_diagram(scene))
+    chosen = [i for i in range(len(scenes)) if whole(answers[i])]
+    for i in chosen:
+        answers[i]["diagram"] = timed("diagram", lambda scene=scenes[i]: by_diagram(scene))
+    for own, columns in by_loading(scenes, chosen) if surface is not None else []:
+        found = timed("designs", lambda c=columns, s=scenes[own[0]]: by_designs(s, c, surface))
+        for i, answer in zip(own, found, strict=True):
+            answers[i]["designs"] = answer
     return answers
 
 
@@ -227,9 +238,9 @@ def disagree(answers: dict) -> bool:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenes", type=int, default=10_000)
-    parser.add_argument(
-        "--share", type=float, default=0.1, help="of the scenes that are asked by their whole diagram too"
-    )
+    parser.add_argument("--minutes", type=float, default=np.inf, help="ends after so many minutes")
+    parser.add_argument("--each", type=int, default=10, help="scenes of a membrane")
+    parser.add_argument("--share", type=float, default=0.1, help="of the scenes that are asked in the costly ways too")
     parser.add_argument("--kinds", help=f"materials, separated by commas, by default {KINDS}")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", metavar="FILE", help='"-" is standard output')
@@ -246,12 +257,14 @@ def main() -> int:
     print(f"seed {options.seed}", file=sys.stderr)
     spent, undecided = collections.Counter(), collections.Counter()
     asked, differing, regimes = collections.Counter(), [], collections.Counter()
-    done = 0
-    while done < options.scenes:
-        membrane = random_membrane(kinds[(done // EACH) % len(kinds)], random)
+    done, members = 0, 0
+    until = time.monotonic() + 60 * options.minutes
+    while done < options.scenes and time.monotonic() < until:
+        membrane = random_membrane(kinds[members % len(kinds)], random)
+        members += 1
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            scenes = random_scenes(membrane, min(EACH, options.scenes - done), not options.quick, random)
+            scenes = random_scenes(membrane, min(options.each, options.scenes - done), not options.quick, random)
             found = asked_in_every_way(
                 scenes, lambda answers: disagree(answers) or random.uniform() < options.share, spent
             )
@@ -264,7 +277,7 @@ def main() -> int:
             if disagree(answers):
                 differing.append({"scene": dj.describe(scene), "answers": dict(answers)})
                 print(differing[-1], file=sys.stderr, flush=True)
-        if options.quick or (done // EACH) % 5 == 0 or done == options.scenes:
+        if options.quick or members % 5 == 0 or done == options.scenes:
             left = {way: round(undecided[way] / asked[way], 4) for way in asked}
             print(f"{done} scenes, {len(differing)} differ, undecided {left}", file=sys.stderr, flush=True)
             print({w: round(v, 1) for w, v in spent.items()}, file=sys.stderr, flush=True)

@@ -34,7 +34,9 @@ __all__ = [
 
 NODES = (16, 20, 16)  # of an element, along its axes
 _ROUNDS = 7
-_EDGE_ROUNDS = 3  # each more doubles what a surface costs where states end inside the window (Ogden, exponents 1.8 and 3 to 6)
+_EDGE_ROUNDS = (
+    3  # each more doubles what a surface costs where states end inside the window (Ogden, exponents 1.8 and 3 to 6)
+)
 _MOST_STEPS = 160
 
 Edges: typing.TypeAlias = tuple[tuple[float, float], ...]
