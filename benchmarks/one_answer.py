@@ -2,7 +2,8 @@
 
 A scene is asked by its whole diagram (`voltage_volume`), by continuation side by side (`continue_scenes`), on the surface
 (`chamber_ramps`, `pressure_ramps`), at a glance, in sweeps with both engines, and by `classify_designs`. Two ways disagree
-where both are definite and the regimes differ, or the voltages of snap and breakdown differ by more than 1e-6. "not_decided"
+where both are definite and the regimes differ, or the squared voltages of snap and breakdown differ by more than 1e-6
+(relative, as error estimates are: of max(Φ², 1e-3)). "not_decided"
 and an error in a sentence are no answers. Scenes: Gent J 5–1000, neo-Hookean, Mooney–Rivlin, Ogden, eight-chain,
 electrostrictive; prestretch 1–4; V_0 from 0.1 to 1.6 of the volume at the peak of the pressure, or a pressure p_0 up to that
 peak; V_C 0.02–25 000, p_atm 0–1000, polytropic exponents 1 and 1.4; every sixth scene at constant pressure.
@@ -230,7 +231,7 @@ def disagree(answers: dict) -> bool:
         return True
     for name in ("snap", "breakdown"):
         known = [a[name] for a in definite if name in a]
-        if known and max(known) - min(known) > ALLOWED * max(known):
+        if known and max(known) ** 2 - min(known) ** 2 > ALLOWED * max(max(known) ** 2, 1e-3):
             return True
     return False
 

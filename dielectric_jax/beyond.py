@@ -1,8 +1,9 @@
 """What lies beyond breakdown: where a snap lands in the scanned window, and whether a branch has a fold further on.
 
 A surface ends a little above breakdown and a march ends at it, but both questions need the whole scanned window. The scan
-of the membrane holds p and V there, right to about 1e-6. A question that it answers clearly is answered from it; the
-others are settled by exact states from shooting, or stay open.
+of the membrane holds p and V there, right to about 1e-6, and to 1e-3 on the cliff towards lock-up: how well is measured at
+random states. A question that it answers clearly is answered from it; the others are settled by exact states from shooting,
+or stay open.
 """
 
 import dataclasses
@@ -12,7 +13,7 @@ import typing
 
 import numpy as np
 
-from .chart import Scan, cached_scan
+from .chart import LOAD_PANELS, Scan, cached_scan, map_nodes
 from .crowd import Crowd, Met, pick
 from .lanes import LEVEL
 from .loading import ConstantVoltage, Contour
@@ -25,14 +26,17 @@ __all__ = ["Landing", "Landings", "folds_ahead", "landings"]
 
 _EVERY = 2  # row of the scan is enough for contours
 _NODES = 4  # of the polynomial along the load
-_NOISE = 1e-5  # of the pressure: what the interpolated scan leaves unclear, ten times its largest error
+_NOISE = 1e-5  # of the pressure: what the interpolated scan leaves unclear, at least
+_BAND, _SAMPLES, _SAFETY = 12, 6, 3.0  # rows whose error is measured together, at so many states a panel; its factor
 _ABOUT = 0.02  # of the breakdown load: a landing this near to it is settled by an exact state
 _TOGETHER = 64  # lanes that are looked at together, in the cache
 _TOLERANCE = 1e-9
+_EXACT_STEPS = 128.0  # of the explicit map, right to 1e-8
 _REACH = 0.3  # in scaled unknowns, from where the scan shows a landing to the exact one
 _LEAP = 0.12  # of t between rows: further apart two crossings are not one contour
 _CHORDS, _SETTLED = 3, 1e-4  # steps to a crossing; the last of them, in t
 _FALL = 1e-4  # of a load: a maximum by which it falls again is a fold
+_PER_NOISE = 10.0  # of the load, for a relative error of the pressure
 _CLOSE, _SLOW = 1e-3, 0.02  # of the stretch; of q/λa: a slope dq/dλa below it may hide two folds
 _TURNING = 0.2  # of the rise before: a contour that leaves the window more slowly may turn outside
 
@@ -67,6 +71,11 @@ class _Field:
     fraction: np.ndarray
     logs: np.ndarray  # (2, rows, loads): of p/(1 − t) and V
     weights: np.ndarray  # (loads − 3, 4), barycentric
+    noise: np.ndarray  # (bands, panels): relative error of p and V
+
+    def noise_at(self, row, t) -> np.ndarray:
+        """What the scan leaves unclear of a pressure, relative, on rows at load fractions, arrays of one shape."""
+        return self.noise[np.asarray(row) // _BAND, np.searchsorted(LOAD_PANELS, np.nan_to_num(t))]
 
     def at(self, row, t):
         """p and V on rows at load fractions t, arrays of one shape; NaN outside the scan."""
@@ -90,9 +99,33 @@ def _field(scan: ById) -> _Field:
     t = whole.load_fraction
     with np.errstate(all="ignore"):
         logs = np.log(np.stack([whole.pressure[rows] / (1 - t), whole.volume[rows]]))
+    field = _Field(whole.apex_stretch[rows], whole.largest_load[rows], t, logs, _weights(t), np.zeros(0))
+    return dataclasses.replace(field, noise=_measured_noise(field, whole.membrane))
+
+
+def _weights(t: np.ndarray) -> np.ndarray:
     gaps = np.stack([t[i : len(t) - _NODES + 1 + i] for i in range(_NODES)], axis=1)
     apart = gaps[:, :, None] - gaps[:, None] + np.eye(_NODES)
-    return _Field(whole.apex_stretch[rows], whole.largest_load[rows], t, logs, 1 / apart.prod(axis=2))
+    return 1 / apart.prod(axis=2)
+
+
+def _measured_noise(field: _Field, membrane: Membrane) -> np.ndarray:
+    """The error of the scan at random states against the explicit map, (bands, panels), at least `_NOISE`."""
+    random = np.random.default_rng(0)
+    edges = np.array([field.fraction[0], *LOAD_PANELS, SCANNED_LOAD])
+    bands, panels = -(-len(field.apex) // _BAND), len(LOAD_PANELS) + 1
+    shape = bands, panels, _SAMPLES
+    row = np.arange(bands)[:, None, None] * _BAND + random.integers(0, _BAND, shape)
+    row = np.minimum(row, len(field.apex) - 2).ravel()  # the last is the edge of the window
+    low, high = edges[:-1], edges[1:]
+    t = (low[:, None] + (high - low)[:, None] * random.uniform(0, 1, shape)).ravel()
+    p, v = field.at(row, t)
+    exact = map_nodes(membrane.material, field.apex[row], t, float(membrane.prestretch), _EXACT_STEPS)
+    with np.errstate(all="ignore"):
+        error = np.maximum(np.abs(p / exact[0] - 1), np.abs(v / exact[1] - 1)).reshape(shape)
+    return np.maximum(
+        _SAFETY * np.nan_to_num(error, nan=0.0).max(axis=2), _NOISE
+    )  # a state that is not there has no error
 
 
 def _field_of(membrane: Membrane) -> _Field:
@@ -133,7 +166,7 @@ def _line(field: _Field, contour: Contour, apex: np.ndarray, load: np.ndarray) -
     edge_apex = field.apex[:-1] + share * np.diff(field.apex)
     edge = np.where(passes & (edge_apex > apex[:, None]), edge, np.nan)
     holed = ((t <= SCANNED_LOAD) & (field.apex > apex[:, None]) & ~np.isfinite(residual)).any(axis=1)
-    return _Line(residual, _NOISE * np.abs(p), p, inside, edge, edge_apex, holed)
+    return _Line(residual, field.noise_at(rows, t) * np.abs(p), p, inside, edge, edge_apex, holed)
 
 
 def _first(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -334,31 +367,65 @@ def folds_ahead(membrane: Membrane, contour: Contour, apex: np.ndarray, load: np
         new = going[field.apex[row] > walk.apex[going]]
         if not len(new):
             continue
-        stretch = field.apex[row] - walk.apex[new]
-        guess = walk.fraction[new] + walk.slope[new] * stretch
-        found, settled = _crossing(field, pick(contour, new), row, guess, walk.load[new])
-        here = found * field.limit[row]
+        own = pick(contour, new)
+        guess = walk.fraction[new] + walk.slope[new] * (field.apex[row] - walk.apex[new])
+        found, settled = _crossing(field, own, row, guess, walk.load[new])
+        lost = ~settled | ~(np.abs(found - walk.fraction[new]) < _LEAP)
+        leaves = ~lost & (found > SCANNED_LOAD)
+        # where the branch is next: on the row, or at the edge of the window before it
+        apex, here = np.full(len(new), field.apex[row]), found * field.limit[row]
+        if leaves.any():
+            apex[leaves], here[leaves] = _edge_crossing(field, pick(own, leaves), row, walk.apex[new[leaves]])
+            lost |= leaves & ~np.isfinite(apex)
+        stretch = apex - walk.apex[new]
+        # between places that lie close together the noise of the scan is the larger
+        clear = stretch > _CLOSE * walk.apex[new]
+        least = np.maximum(_FALL, _PER_NOISE * field.noise_at(np.full(len(new), row), found))
         with np.errstate(all="ignore"):
-            per = (here - walk.load[new]) / stretch
-            lost = ~settled | ~(np.abs(found - walk.fraction[new]) < _LEAP)
-            leaves = ~lost & (found > SCANNED_LOAD)
-            falls = ~lost & ~leaves & (here < walk.load[new] * (1 - _FALL))
-            turning = leaves & ~(per > _TURNING * rise[new])
-            # between rows that lie close together the noise of the scan is the larger
-            clear = stretch > _CLOSE * walk.apex[new]
+            per = np.where(clear | ~leaves, (here - walk.load[new]) / stretch, rise[new])
+            falls = ~lost & (here < walk.load[new] * (1 - least))
+            turning = leaves & ~falls & ~(per > _TURNING * rise[new])
             doubt[new] |= ~lost & ~falls & clear & (per * walk.apex[new] < _SLOW * walk.load[new])
-        sure = ~doubt[new] & ~turning
+        sure = ~doubt[new] & ~turning & ~lost
         answer[new[falls & ~doubt[new]]] = FoldAhead.fold
-        answer[new[leaves & sure]] = FoldAhead.none
+        answer[new[leaves & ~falls & sure]] = FoldAhead.none
         keep = ~(lost | leaves | falls)
         walk.slope[new[keep]] = (found[keep] - walk.fraction[new[keep]]) / stretch[keep]
         walk.fraction[new[keep]], walk.load[new[keep]] = found[keep], here[keep]
-        walk.apex[new[keep]], rise[new[keep]] = field.apex[row], per[keep]
+        walk.apex[new[keep]], rise[new[keep]] = apex[keep], per[keep]
         going = np.setdiff1d(going, new[~keep], assume_unique=True)
         if not len(going):
             break
     answer[going[~doubt[going]]] = FoldAhead.none
     return answer
+
+
+def _edge_crossing(field: _Field, contour: Contour, row: int, low: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(λa, q) where contours (lanes,) leave the scanned window between λa = `low` and a row; NaN where they do not.
+
+    The residual along the edge t = 0.9 is a cubic through four rows.
+    """
+    rows = np.clip(row - 2, 0, len(field.apex) - 4) + np.arange(4)
+    limit = SCANNED_LOAD * field.limit[rows]
+    p, v = field.at(rows, np.full(4, SCANNED_LOAD))
+    contour = dataclasses.replace(contour, **{name: np.asarray(x)[:, None] for name, x in vars(contour).items()})
+    residual = contour.residual(p, v, limit) / p
+    nodes = field.apex[rows]
+
+    def at(apex, values):
+        """The cubic through `values` (…, 4) at the rows."""
+        weight = [np.prod([(apex - b) / (a - b) for b in nodes if b != a], axis=0) for a in nodes]
+        return sum(w * value for w, value in zip(weight, np.moveaxis(values, -1, 0), strict=True))
+
+    high = np.full(len(low), field.apex[row])
+    first = at(low, residual)
+    crosses = first * at(high, residual) < 0
+    low = low.copy()
+    for _ in range(40):
+        middle = (low + high) / 2
+        same = at(middle, residual) * first > 0
+        low, high = np.where(same, middle, low), np.where(same, high, middle)
+    return np.where(crosses, low, np.nan), np.where(crosses, at(low, limit), np.nan)
 
 
 class _Walk(typing.NamedTuple):

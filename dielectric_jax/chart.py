@@ -27,17 +27,18 @@ from .programs import threads
 from .scene import SCANNED_LOAD
 from .shooting import MOST_STEPS, graded_map, integrate
 
-__all__ = ["Scan", "cached_scan", "explicit_map", "scan"]
+__all__ = ["LOAD_PANELS", "Scan", "cached_scan", "explicit_map", "scan"]
 
 _START = 1e-3
 _NODES = (
     110,
     (16, 12, 16),
     150,
-)  # of the scan: along the stretch; along the load on the panels between `_PANELS`; along
+)  # of the scan: along the stretch; along the load on the panels between `LOAD_PANELS`; along
 # the stretch on the last of them
 _CLIFF = (6.0, 0.006)  # weight and width, as a share of the stretch, of the nodes' crowding about the cliff
-_PANELS = (0.45, 0.75)
+_STEEP, _STRAY = 20.0, 0.02  # least −d log p/d share of a cliff; largest distance of its places from a smooth path
+LOAD_PANELS = (0.45, 0.75)
 _REFINEMENT = 4
 
 
@@ -45,7 +46,7 @@ def explicit_map(material: AbstractMaterial, apex_stretch, voltage_squared, pres
     """Pressure and volume of the one equilibrium at (λa, q); elementwise over arrays of one shape, λa > λ0, q < q_max.
 
     The third result is negative where the map is valid (dλ2/dR < 0 all along the way). With `outputs` a fourth holds the
-    height, C = Q/Φ, and the elastic energy 2π ∫ W R dR.
+    height, C = Q/Φ, and the elastic energy 2π ∫ W R dR. Raises ValueError for `steps` below 1 or above 320.
 
     >>> from dielectric_jax import Gent
     >>> p, v, slope = explicit_map(Gent(), 2.26310592942, 0.0, 1.0, 64.0)
@@ -53,6 +54,8 @@ def explicit_map(material: AbstractMaterial, apex_stretch, voltage_squared, pres
     (1.90868483, 2.9634068, True)
     """
     given = material, apex_stretch, voltage_squared, prestretch, steps
+    if is_concrete(steps) and not 1 <= np.min(steps) <= np.max(steps) <= MOST_STEPS:
+        raise ValueError(f"`steps` must be between 1 and {MOST_STEPS}, but is {steps!r}.")
     if all(map(is_concrete, jax.tree.leaves(given))):
         return _MAPS[outputs](*given)
     return _map(*given, outputs)
@@ -115,6 +118,7 @@ _MAPS = {outputs: _map_program(outputs) for outputs in (False, True)}
 class Scan:
     """Pressure and volume interpolated on a fine grid of the chart, shape (stretches, loads), and contours on it."""
 
+    membrane: Membrane
     apex_stretch: np.ndarray
     load_fraction: np.ndarray
     largest_load: np.ndarray
@@ -207,7 +211,8 @@ def _density(y, cliff=None):
 
     Geometric at the flat end, even, finer again at lock-up, and finer by far about a `cliff`.
     """
-    value = 0.6 * np.log(y) + 12 * y + 40 * np.maximum(y - 0.6, 0) ** 2 - np.log(1.02 - y)
+    above = (y - 0.6 + np.sqrt((y - 0.6) ** 2 + 0.01)) / 2  # y − 0.6 above it, without a kink: splines run across
+    value = 0.6 * np.log(y) + 12 * y + 40 * above**2 - 1.5 * np.log(1.005 - y)
     return value if cliff is None else value + _CLIFF[0] * np.arctan((y - cliff) / _CLIFF[1])
 
 
@@ -243,8 +248,8 @@ def _mapped(membrane: Membrane, apex, t) -> tuple[np.ndarray, np.ndarray]:
     span = membrane.lock_up_stretch()[0] - rim
     shape, apex, t = apex.shape, apex.ravel(), t.ravel()
     values = map_nodes(material, apex, t, rim, 28.0)
-    # towards lock-up at a high load the equations are stiffer, and an inner layer forms; elsewhere 28 steps leave 1e-6
-    stiff = (t > 0.4) & (apex - rim > 0.5 * span)
+    # towards lock-up the equations are stiffer, and at a high load an inner layer forms; elsewhere 28 steps leave 1e-6
+    stiff = apex - rim > 0.5 * span
     layer = (t > 0.8) & (apex - rim > 0.7 * span)
     for which, steps in ((stiff & ~layer, 128.0), (layer, float(MOST_STEPS)), (None, float(MOST_STEPS))):
         which = ~_valid(*values) if which is None else which
@@ -290,19 +295,23 @@ def _through(even, values):
     return lambda places: np.where(holes(places) > 1e-12, np.nan, smooth(places))
 
 
-def _find_cliff(membrane: Membrane, high: float, low_t: float, high_t: float) -> np.polynomial.Polynomial:
-    """The share of the stretch at which p falls steepest, as a polynomial of t.
+def _find_cliff(membrane: Membrane, high: float, low_t: float, high_t: float) -> np.polynomial.Polynomial | None:
+    """The share of the stretch at which p falls steepest, as a polynomial of t; None where there is no cliff.
 
-    Towards lock-up at a high load p falls by half within a hundredth of the stretch.
+    Towards lock-up at a high load p falls by half within a hundredth of the stretch. A membrane whose p falls gently is
+    better sampled by nodes that stay: the place of its steepest fall may jump across the window.
     """
     rim = float(membrane.prestretch)
     share, t = np.linspace(0.5, 0.98, 80), np.linspace(low_t, high_t, 8)
     apex, loads = (v.ravel() for v in np.meshgrid(rim + (high - rim) * share, t, indexing="ij"))
     pressure = map_nodes(membrane.material, apex, loads, rim, 96.0)[0].reshape(len(share), len(t))
     with np.errstate(all="ignore"):
-        fall = np.nan_to_num(np.diff(np.log(pressure), axis=0), nan=0.0, posinf=0.0)
+        fall = np.nan_to_num(np.diff(np.log(pressure), axis=0), nan=0.0, posinf=0.0) / (share[1] - share[0])
     steepest = np.argmin(fall, axis=0)
-    return np.polynomial.Polynomial.fit(t, (share[steepest] + share[steepest + 1]) / 2, 3)
+    place = (share[steepest] + share[steepest + 1]) / 2
+    path = np.polynomial.Polynomial.fit(t, place, 3)
+    steep = np.nanmin(fall) < -_STEEP
+    return path if steep and np.abs(path(t) - place).max() < _STRAY else None
 
 
 def scan(membrane: Membrane, stretches, loads, refinement: int = _REFINEMENT) -> Scan:
@@ -322,11 +331,11 @@ def scan(membrane: Membrane, stretches, loads, refinement: int = _REFINEMENT) ->
 
     bottom, top = loads[0], min(loads[1], SCANNED_LOAD)
     panels, counts = [bottom], []
-    for edge, count in zip((*_PANELS, top), _NODES[1], strict=True):
+    for edge, count in zip((*LOAD_PANELS, top), _NODES[1], strict=True):
         if edge == top or panels[-1] + 0.05 < edge < top - 0.05:
             panels.append(edge)
             counts.append(count)
-    cliff = _find_cliff(membrane, high, panels[-2], top) if panels[-2] >= _PANELS[-1] else None
+    cliff = _find_cliff(membrane, high, panels[-2], top) if panels[-2] >= LOAD_PANELS[-1] else None
     plain = len(counts) - (cliff is not None)
 
     # the fine rows, three times as many where the cliff passes
@@ -342,9 +351,10 @@ def scan(membrane: Membrane, stretches, loads, refinement: int = _REFINEMENT) ->
     parts, fine_t = [], []
     if plain:
         x, own_t, matrix = _panel_matrix(panels[: plain + 1], counts[:plain], refinement)
-        places = np.linspace(0.0, 1.0, _NODES[0])
-        apex, t = np.meshgrid(stretch_of(stretch_shares(first, _NODES[0])), x, indexing="ij")
-        values = _columns(np.broadcast_to(places[:, None], apex.shape), *_mapped(membrane, apex, t), fine)
+        share = stretch_shares(first, _NODES[0])
+        apex, t = np.meshgrid(stretch_of(share), x, indexing="ij")
+        places = np.broadcast_to(_places(share, first)[:, None], apex.shape)
+        values = _columns(places, *_mapped(membrane, apex, t), _places(rows, first))
         parts.append(_along_loads(values, matrix))
         fine_t.append(own_t)
     if cliff is not None:
@@ -365,6 +375,7 @@ def scan(membrane: Membrane, stretches, loads, refinement: int = _REFINEMENT) ->
     field, fine_t = np.concatenate(parts, axis=2), np.concatenate(fine_t)
     apex = stretch_of(rows)
     return Scan(
+        membrane,
         apex,
         fine_t,
         largest_load(membrane.material, apex),

@@ -34,9 +34,9 @@ __all__ = [
 
 NODES = (16, 20, 16)  # of an element, along its axes
 _ROUNDS = 7
-_EDGE_ROUNDS = (
-    3  # each more doubles what a surface costs where states end inside the window (Ogden, exponents 1.8 and 3 to 6)
-)
+# rounds in which a box is cut though states end in it (each more doubles the cost of a film of Ogden, exponents 1.8 and 3 to
+# 6), and though no number of steps is enough (each more costs four times the last; Mooney–Rivlin, prestretch 3.5)
+_EDGE_ROUNDS, _STIFF_ROUNDS = 3, 4
 _MOST_STEPS = 160
 
 Edges: typing.TypeAlias = tuple[tuple[float, float], ...]
@@ -173,10 +173,12 @@ def refine(sampler: Sampler, todo: list[Task], tolerance: float) -> list[Element
             rough = max(_tails(e.coefficients)) > 0.02 * tolerance
             if e.error <= 0.5 * tolerance:
                 done.append(e)
-            elif rough or e.steps >= _MOST_STEPS:
-                todo += _cut(e, 0.02 * tolerance if rough else 0.0)
-            else:  # smooth, and yet in error: the shots are
+            elif rough:
+                todo += _cut(e, 0.02 * tolerance)
+            elif e.steps < _MOST_STEPS:  # smooth, and yet in error: the shots are
                 todo.append(Task(e.edges, 1.6 * e.steps, e))
+            elif round_ < _STIFF_ROUNDS:  # a part of it may do
+                todo += _cut(e, 0.0)
     return done
 
 
