@@ -118,7 +118,7 @@ def noise_of(film, apex, fraction):
 
 def test_steps_of_the_map_beyond_its_limit_are_refused():
     """More steps than the integration allows would end it on the way."""
-    with pytest.raises(ValueError, match="`steps` must be between 1 and 320, but is 512.0"):
+    with pytest.raises(ValueError, match=r"`steps` must be between 1 and 320, but is 512\.0"):
         dj.explicit_map(dj.Gent(), 2.0, 0.0, 1.0, 512.0)
 
 
