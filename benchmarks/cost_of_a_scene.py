@@ -26,8 +26,8 @@ from records import machine, write
 from shots import MATERIAL, States, seconds_of
 
 import dielectric_jax as dj
-from dielectric_jax.programs import jacobian_program, value_program
-from dielectric_jax.shooting import COLUMNS, integrate_membrane
+from dielectric_jax.model.programs import jacobian_program, value_program
+from dielectric_jax.model.shooting import COLUMNS, integrate_membrane
 
 jax.config.update("jax_enable_x64", True)
 

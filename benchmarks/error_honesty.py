@@ -17,8 +17,8 @@ import truth
 from records import machine, write
 
 import dielectric_jax as dj
-from dielectric_jax.equilibria import polish
-from dielectric_jax.loading import Contour
+from dielectric_jax.model.equations import polish
+from dielectric_jax.model.loading import Contour
 
 jax.config.update("jax_enable_x64", True)
 dj.enable_compilation_cache()

@@ -14,8 +14,8 @@ import numpy as np
 from scipy_peers import SCALE, START
 
 from dielectric_jax import Gent, VHBBreakdown, stresses
-from dielectric_jax.membrane import apex_series, slopes
-from dielectric_jax.shooting import eighth_order_step, graded_map
+from dielectric_jax.model.membrane import apex_series, slopes
+from dielectric_jax.model.shooting import eighth_order_step, graded_map
 
 _POINTS, _FIRST = 100, 4e-4
 _GENT = Gent(chambers.STRETCH_LIMIT)

@@ -119,7 +119,7 @@ def by_diagram(scene) -> Answer:
         diagram = dj.voltage_volume(scene)
     except (ValueError, dj.SceneError) as error:
         return refused(error)
-    return of_events(dj.regimes.regime_of_diagram(diagram), diagram.events)
+    return of_events(dj.diagram.regimes.regime_of_diagram(diagram), diagram.events)
 
 
 def by_glance(scene, surface) -> Answer:

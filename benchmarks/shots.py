@@ -19,8 +19,8 @@ from chambers import STRETCH_LIMIT, breakdown_load
 from scipy.integrate import solve_ivp
 
 import dielectric_jax as dj
-from dielectric_jax.membrane import apex_series, slopes
-from dielectric_jax.shooting import EvenSteps, graded_map, integrate_membrane
+from dielectric_jax.model.membrane import apex_series, slopes
+from dielectric_jax.model.shooting import EvenSteps, graded_map, integrate_membrane
 
 MATERIAL = dj.Gent(STRETCH_LIMIT)
 BATCH = 128

@@ -19,7 +19,7 @@ from records import machine, write
 from ritz import ELEMENTS, Ritz
 
 import dielectric_jax as dj
-from dielectric_jax.stability import judge, survey
+from dielectric_jax.model.stability import judge, survey
 
 jax.config.update("jax_enable_x64", True)
 dj.enable_compilation_cache()

@@ -18,7 +18,7 @@ from records import machine, write
 from truth import exact
 
 import dielectric_jax as dj
-from dielectric_jax.materials import largest_load
+from dielectric_jax.model.materials import largest_load
 
 jax.config.update("jax_enable_x64", True)
 dj.enable_compilation_cache()

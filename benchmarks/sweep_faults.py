@@ -59,7 +59,7 @@ def interrupted(number: int, fails: str) -> None:
 
 def child(arguments: list[str]) -> int:
     """The command line, of which a write may fail: NUMBER kill|full ARGUMENTS…"""
-    from dielectric_jax.cli import main as command
+    from dielectric_jax.apps.cli import main as command
 
     number, fails, *rest = arguments
     if int(number):

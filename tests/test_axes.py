@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 import dielectric_jax as dj
-from dielectric_jax.axes import Design, axes_of
+from dielectric_jax.sweeps.axes import Design, axes_of
 
 SCENE = dj.Scene(dj.Membrane(), dj.Chamber(volume=1600.0, initial_volume=2.42))
 

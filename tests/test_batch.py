@@ -10,7 +10,7 @@ import pytest
 
 import dielectric_jax as dj
 from dielectric_jax import Outcome, continue_scenes
-from dielectric_jax.polylines import Places, Polylines
+from dielectric_jax.diagram.polylines import Places, Polylines
 
 DATA = pathlib.Path(__file__).parent.parent / "benchmarks" / "data" / "chambers.csv"
 FILM = dj.Membrane()

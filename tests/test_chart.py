@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import dielectric_jax as dj
-from dielectric_jax.beyond import _field_of as scan_field
-from dielectric_jax.chart import cached_scan, scan
-from dielectric_jax.materials import largest_load
+from dielectric_jax.diagram.beyond import _field_of as scan_field
+from dielectric_jax.model.chart import cached_scan, scan
+from dielectric_jax.model.materials import largest_load
 
 mapped = jax.jit(dj.explicit_map)
 shot = jax.jit(lambda material, a, p, q: dj.shoot(material, a, p, q, steps=192.0))

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from dielectric_jax.cli import main
+from dielectric_jax.apps.cli import main
 
 ROOT = Path(__file__).parent.parent
 CHAMBER = ["voltage-volume", "--chamber-volume", "1600", "--initial-volume", "2.42"]
@@ -198,7 +198,7 @@ def test_streams_that_lack_characters_are_readable(monkeypatch, encoding, errors
 
 
 def test_bad_input_of_the_program_itself():
-    command = [sys.executable, "-m", "dielectric_jax.cli", "equilibrium", "--volume", "-1"]
+    command = [sys.executable, "-m", "dielectric_jax.apps.cli", "equilibrium", "--volume", "-1"]
     done = subprocess.run(command, cwd=ROOT, env=dict(os.environ), capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == "dielectric-jax: --volume must be zero or a positive finite number, but is '-1'.\n"

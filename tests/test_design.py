@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import dielectric_jax as dj
-from dielectric_jax.cli import main
-from dielectric_jax.design_points import Kind, begin_of, measure
+from dielectric_jax.apps.cli import main
+from dielectric_jax.design.design_points import Kind, begin_of, measure
 
 DOCS = pathlib.Path(__file__).parent.parent / "docs"
 CHAMBERS = {"chamber_volume": (500.0, 25000.0)}

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import dielectric_jax as dj
-from dielectric_jax.chart import explicit_map
+from dielectric_jax.model.chart import explicit_map
 
 SCENES = {
     "VC=800": ("chamber", 800.0),

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dielectric_jax.elementary import log1p, reciprocal, sine_cosine, softplus
+from dielectric_jax.numerics.elementary import log1p, reciprocal, sine_cosine, softplus
 
 ULP = np.finfo(float).eps
 

@@ -8,7 +8,7 @@ import pytest
 
 import dielectric_jax as dj
 from dielectric_jax import Outcome, Regime, chamber_curves, chamber_ramps, pressure_ramps
-from dielectric_jax.regimes import regime_of_diagram
+from dielectric_jax.diagram.regimes import regime_of_diagram
 
 
 @pytest.fixture(scope="module")

@@ -12,10 +12,10 @@ import time
 import pytest
 
 import dielectric_jax as dj
-from dielectric_jax import executors
-from dielectric_jax.executors import Progress, executor_of, run_blocks
-from dielectric_jax.programs import cores
-from dielectric_jax.results import WorkersLost
+from dielectric_jax.sweeps import executors
+from dielectric_jax.sweeps.executors import Progress, executor_of, run_blocks
+from dielectric_jax.model.programs import cores
+from dielectric_jax.numerics.codes import WorkersLost
 
 
 def squared(number, folder=None, victim=None):
@@ -116,7 +116,7 @@ import os, pathlib, signal, sys, threading, time
 import jax; jax.config.update("jax_enable_x64", True)
 import numpy as np
 import dielectric_jax as dj
-from dielectric_jax.locks import alone
+from dielectric_jax.numerics.locks import alone
 if __name__ == "__main__":
     import dask.distributed as dd
     folder = pathlib.Path(sys.argv[1])
@@ -160,7 +160,7 @@ def test_an_interrupt_leaves_a_store_to_resume(tmp_path):
         "chamber_volume = {from = 600, to = 25000, count = 2000, spacing = 'log'}\n"
     )
     store = tmp_path / "s.zarr"
-    command = [sys.executable, "-m", "dielectric_jax.cli", "sweep", str(spec), "--output", str(store), "--workers", "1"]
+    command = [sys.executable, "-m", "dielectric_jax.apps.cli", "sweep", str(spec), "--output", str(store), "--workers", "1"]
     # a test run in the background ignores interrupts, and its children would with it
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
@@ -193,7 +193,7 @@ def test_the_bar_is_shown_in_a_notebook_and_not_for_its_packages(capfd):
     with Progress(10, 0) as bar:
         bar.add(4, 0)
     assert capfd.readouterr().err == ""
-    code = "from dielectric_jax.executors import Progress\nwith Progress(10, 0) as bar:\n    bar.add(4, 0)\n    assert bar._bar is not None"
+    code = "from dielectric_jax.sweeps.executors import Progress\nwith Progress(10, 0) as bar:\n    bar.add(4, 0)\n    assert bar._bar is not None"
     import nbclient
     import nbformat
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import dielectric_jax as dj
-from dielectric_jax.materials import largest_load
-from dielectric_jax.sheet import relative_error
+from dielectric_jax.model.materials import largest_load
+from dielectric_jax.surface.build import relative_error
 
 
 @pytest.fixture(scope="module")
@@ -162,7 +162,7 @@ def test_cache(monkeypatch, tmp_path):
     options = {"prestretch": (1.0, 1.1), "tolerance": 1e-3}
     first = dj.SurfaceFamily.build(dj.Gent(10.0), **options)
     (kept,) = tmp_path.rglob("*.npz")
-    monkeypatch.setattr("dielectric_jax.family.build_trajectory_elements", None)  # now read, or nothing
+    monkeypatch.setattr("dielectric_jax.surface.family.build_trajectory_elements", None)  # now read, or nothing
     second = dj.SurfaceFamily.build(dj.Gent(10.0), **options)
     assert np.array_equal(first.coefficients, second.coefficients)
     kept.write_bytes(b"broken")

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 import dielectric_jax as dj
-from dielectric_jax import cache, kept
+from dielectric_jax.numerics import cache
+from dielectric_jax.numerics import compiled as kept
 
 
 @pytest.fixture

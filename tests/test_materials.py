@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import dielectric_jax as dj
-from dielectric_jax.materials import first_invariant_minus_3, inverse_langevin, largest_load
+from dielectric_jax.model.materials import first_invariant_minus_3, inverse_langevin, largest_load
 
 FIELD_UNIT = 32.88422182218  # √(μ/ε) in MV/m for μ = 45 kPa, ε = 4.7·8.854e-12 F/m
 

@@ -8,7 +8,8 @@ import pytest
 from jax.experimental.compilation_cache import compilation_cache
 
 import dielectric_jax as dj
-from dielectric_jax import cache, kept
+from dielectric_jax.numerics import cache
+from dielectric_jax.numerics import compiled as kept
 
 compiled = collections.Counter()
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import dielectric_jax as dj
-from dielectric_jax import beyond
-from dielectric_jax.outcomes import FoldAhead
+from dielectric_jax.diagram import beyond
+from dielectric_jax.model.outcomes import FoldAhead
 
 sys.path.insert(0, str(pathlib.Path(__file__).parent.parent / "benchmarks"))
 from one_answer import OPEN, asked_in_every_way, disagree

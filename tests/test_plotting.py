@@ -10,15 +10,15 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from dielectric_jax.plotting import (
+from dielectric_jax.plot.diagrams import (
     chamber_voltages,
     plot_chamber,
     plot_diagram,
     plot_pressure_volume,
     plot_voltage_volume,
 )
-from dielectric_jax.records import Branch, Event, SpecialPoint, State
-from dielectric_jax.results import Code
+from dielectric_jax.model.records import Branch, Event, SpecialPoint, State
+from dielectric_jax.numerics.codes import Code
 
 SNAP_Q, DIP_Q = 0.006, -0.002
 

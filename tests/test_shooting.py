@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import dielectric_jax as dj
-from dielectric_jax.shooting import integrate_membrane
+from dielectric_jax.model.shooting import integrate_membrane
 
 # near equilibria of λ0 = 1 to 2 (λa, p, q, J): flat, near the peak, past it, high load, q < 0, towards lock-up
 POINTS = np.array(

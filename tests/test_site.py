@@ -10,7 +10,7 @@ import sys
 import pytest
 
 import dielectric_jax as dj
-from dielectric_jax.arguments import read_arguments
+from dielectric_jax.apps.options import read_arguments
 
 ROOT = pathlib.Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]

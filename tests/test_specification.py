@@ -178,7 +178,7 @@ def test_dimensionless_numbers_are_read(tmp_path, text):
 
 
 def test_ranges_of_designs_in_si_are_refused_too(tmp_path):
-    from dielectric_jax.design_files import read_design_file
+    from dielectric_jax.apps.design_files import read_design_file
 
     (tmp_path / "s.toml").write_text(FILM + f"[scene]\n{AIR}[over]\nchamber_volume = [9e-3, 45e-3]")
     with pytest.raises(ValueError, match="`chamber_volume` must be dimensionless"):

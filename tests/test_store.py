@@ -14,8 +14,8 @@ import pytest
 import xarray as xr
 
 import dielectric_jax as dj
-from dielectric_jax.locks import alone
-from dielectric_jax.results import StoreError
+from dielectric_jax.numerics.locks import alone
+from dielectric_jax.numerics.codes import StoreError
 
 BENCHMARKS = pathlib.Path(__file__).parent.parent / "benchmarks"
 SPECIFICATION = """
@@ -134,7 +134,7 @@ def test_damage_is_noticed_and_mended(undisturbed, tmp_path, faults, capfd):
 
 def test_a_second_writer_is_refused(undisturbed, tmp_path):
     store = copied(undisturbed, tmp_path)
-    other = "import sys; from dielectric_jax.locks import alone\nwith alone(sys.argv[1]): print(1, flush=True); input()"
+    other = "import sys; from dielectric_jax.numerics.locks import alone\nwith alone(sys.argv[1]): print(1, flush=True); input()"
     with subprocess.Popen(
         [sys.executable, "-c", other, str(store)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as process:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import dielectric_jax as dj
-from dielectric_jax.chart import explicit_map
+from dielectric_jax.model.chart import explicit_map
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ def test_energy_identities_and_maxwell(surface):
     """dU = p dV + (q C/2)' …: with H = U − qC/2, dH = p dV − C/2 dq; and ∂V/∂q|p = (∂C/∂p|q)/2."""
 
     def quantities(x):
-        p, v, _, c, u = surface.at_load_fraction(x[0], x[1] / dj.materials.largest_load(dj.Gent(), x[0]))
+        p, v, _, c, u = surface.at_load_fraction(x[0], x[1] / dj.model.materials.largest_load(dj.Gent(), x[0]))
         return jnp.stack([p, v, c, u - x[1] * c / 2])
 
     for point in ((2.0, 0.01), (5.0, 0.005), (8.0, 0.004), (3.0, -0.02), (10.5, 0.003)):

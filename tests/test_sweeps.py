@@ -96,7 +96,7 @@ def test_pressures_and_whole_diagrams():
 
 def test_a_diagram_is_told_like_a_ramp(swept):
     """The variables of a whole diagram are those of the surface."""
-    from dielectric_jax.columns import answer_of_diagram
+    from dielectric_jax.sweeps.variables import answer_of_diagram
 
     for chamber in (800.0, 1600.0):
         told = answer_of_diagram(dj.voltage_volume(SCENE.replace(chamber_volume=chamber)))
@@ -123,7 +123,7 @@ def test_a_scene_that_cannot_be_leaves_the_others_alone():
 
 
 def test_an_error_in_a_block_is_that_of_its_scene(monkeypatch):
-    from dielectric_jax import workers
+    from dielectric_jax.sweeps import blocks as workers
 
     def ramps(surface, chamber, *more, **options):
         if (chamber == 500.0).any():
@@ -140,7 +140,7 @@ def test_an_error_in_a_block_is_that_of_its_scene(monkeypatch):
 
 def test_blocks_depend_on_the_sweep_alone():
     """On its engine, what it keeps, and its count: two runs of one sweep lay their stores out alike."""
-    from dielectric_jax.workers import Job, block_size
+    from dielectric_jax.sweeps.blocks import Job, block_size
 
     counts = 1, 500, 10_000, 131_072, 10**7
     for job, expected in (
@@ -165,8 +165,8 @@ def test_sweeps_that_nothing_can_hold_are_refused():
 
 
 def test_the_surfaces_of_a_family_are_used_from_nine_prestretches_on():
-    from dielectric_jax.axes import Design, axes_of
-    from dielectric_jax.sweeps import _job
+    from dielectric_jax.sweeps.axes import Design, axes_of
+    from dielectric_jax.sweeps.sweeps import _job
 
     few, many = (
         _job(Design(SCENE, axes_of({"prestretch": np.linspace(1, 3, n)})), "surface", False, False, 1e-9)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import dielectric_jax as dj
-from dielectric_jax import fold_paths
+from dielectric_jax.critical import fold_paths
 
 matplotlib.use("Agg")
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import dielectric_jax as dj
-from dielectric_jax.cli import main
-from dielectric_jax.plotting import plot_chamber, plot_pressure_volume
+from dielectric_jax.apps.cli import main
+from dielectric_jax.plot.diagrams import plot_chamber, plot_pressure_volume
 
 MU, H, A, EPSILON = 45e3, 1e-3, 22.5e-3, 4.7 * 8.854e-12  # the paper's membrane
 PRESSURE, VOLUME, VOLTAGE = MU * H / A, A**3, H * math.sqrt(MU / EPSILON)

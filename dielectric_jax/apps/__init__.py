@@ -1,0 +1,1 @@
+"""The command line, the explorer, and the paper's figures."""

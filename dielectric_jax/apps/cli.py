@@ -1,0 +1,352 @@
+"""The command line `dielectric-jax`: single states and diagrams as a table, JSON or a figure.
+
+Bad input is one sentence on standard error and exit status 2; a scene without an answer is its result code's sentence
+and exit status 1. Everything that takes long to import is imported once the input is known to be well formed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import sys
+import time
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from .options import (
+    CHAMBER_OPTIONS,
+    MATERIAL_CONSTANTS,
+    PROGRAM,
+    UNIT_CONSTANTS,
+    BadInput,
+    option_names,
+    read_arguments,
+)
+from .plain_text import readable_streams
+from ..numerics.codes import SceneError, StoreError, WorkersLost
+from .summaries import summary
+
+__all__ = ["main"]
+
+
+_ATMOSPHERE = 100e3  # Pa; 50 μH/A for the membrane of the paper
+
+
+def _say(text: str) -> None:
+    """Progress, for a person who waits at a terminal."""
+    if sys.stderr.isatty():
+        print(text, file=sys.stderr, flush=True)
+
+
+def _membrane(dj: Any, args: argparse.Namespace) -> Any:
+    kinds = {"gent": dj.Gent, "neo-hookean": dj.NeoHookean, "arruda-boyce": dj.ArrudaBoyce}
+    kinds |= {"mooney-rivlin": dj.MooneyRivlin, "ogden": dj.Ogden}
+    given = {name: getattr(args, name) for name in MATERIAL_CONSTANTS[args.material]}
+    material = kinds[args.material](**{name: value for name, value in given.items() if value is not None})
+    own = {} if args.units is None else {n: getattr(args.units, n) for n in ("shear_modulus", "relative_permittivity")}
+    breakdown = dj.VHBBreakdown(**own) if args.breakdown == "vhb" else dj.ConstantBreakdown(args.breakdown)
+    return dj.Membrane(material=material, prestretch=args.prestretch, breakdown=breakdown)
+
+
+def _units(dj: Any, args: argparse.Namespace) -> Any:
+    """The units of --si, None without it; the options' own quantities are made dimensionless."""
+    if not getattr(args, "si", False):
+        return None
+    from ..model.units import VACUUM_PERMITTIVITY
+
+    given = {n: getattr(args, n) for n in UNIT_CONSTANTS if getattr(args, n) is not None}
+    if "relative_permittivity" in given:
+        given["permittivity"] = given.pop("relative_permittivity") * VACUUM_PERMITTIVITY
+    units = dj.Units(**given)
+    if getattr(args, "chamber_volume", None) is not None and args.atmospheric_pressure is None:
+        args.atmospheric_pressure = _ATMOSPHERE
+    vars(args).update(units.from_si(vars(args)))
+    return units
+
+
+def _window(dj: Any, args: argparse.Namespace) -> Any:
+    def pair(window: list[float] | None) -> tuple[float, float] | None:
+        return None if window is None else (window[0], window[1])
+
+    return dj.Window(apex_stretch=pair(args.stretch_window), load_fraction=pair(args.load_window))
+
+
+def _scene(dj: Any, args: argparse.Namespace) -> Any:
+    if args.pressure is not None:
+        loading = dj.ConstantPressure(pressure=args.pressure)
+    elif args.volume is not None:
+        loading = dj.PrescribedVolume(volume=args.volume)
+    else:
+        given = {name: getattr(args, name) for name in CHAMBER_OPTIONS if getattr(args, name) is not None}
+        loading = dj.Chamber(volume=args.chamber_volume, **given)
+    if args.control == "charge":
+        loading = dj.ChargeControl(loading)
+    return dj.Scene(_membrane(dj, args), loading, _window(dj, args), args.units)
+
+
+def _curves(
+    dj: Any, args: argparse.Namespace, membrane: Any, voltages: Sequence[float], surface: Any = None
+) -> list[Any]:
+    curves, options = [], {"points": args.points, "tolerance": args.tolerance, "window": _window(dj, args)}
+    for voltage in voltages:
+        _say(f"pressure–volume curve at voltage {voltage:.6g} …")
+        curves.append(dj.pressure_volume(membrane, voltage=voltage, surface=surface, **options))
+    return curves
+
+
+def _run_equilibrium(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
+    membrane = _membrane(dj, args)
+    names = ("pressure", "volume", "apex_stretch")
+    given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
+    _say("equilibrium …")
+    answer = dj.equilibrium(
+        membrane, voltage=args.voltage, **given, all=args.all, tolerance=args.tolerance, window=_window(dj, args)
+    )
+    states = answer if args.all else [answer]
+    document = {"scene": dj.describe(membrane), "units": "dimensionless", "states": [s.to_json() for s in states]}
+
+    def draw() -> Any:
+        from ..plot.diagrams import plot_diagram
+
+        figure = plot_diagram(_curves(dj, args, membrane, [args.voltage])[0], units=args.units)
+        (ax,) = figure.axes
+        right, top = ax.get_xlim()[1], ax.get_ylim()[1]
+        for state in states if args.units is None else args.units.read(states):
+            ax.plot(state.volume, state.pressure, "*", color="#D55E00", markersize=11, zorder=6)
+            right, top = max(right, 1.1 * state.volume), max(top, 1.1 * state.pressure)
+        ax.set_xlim(right=right)
+        ax.set_ylim(top=top)
+        return figure
+
+    return document, draw
+
+
+def _run_pressure_volume(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
+    curves = _curves(dj, args, _membrane(dj, args), args.voltage or [0.0])
+    documents = [c.to_json() for c in curves]
+
+    def draw() -> Any:
+        from ..plot.diagrams import plot_diagram, plot_pressure_volume
+
+        if len(curves) == 1:
+            return plot_diagram(curves[0], units=args.units)
+        return plot_pressure_volume(curves, units=args.units).figure
+
+    return documents[0] if len(documents) == 1 else {"diagrams": documents}, draw
+
+
+def _run_voltage_volume(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
+    scene = _scene(dj, args)
+    surface = None
+    if args.engine == "surface":
+        _say("surface of the membrane …")
+        surface = dj.Surface.build(scene.membrane)
+    _say("voltage–volume diagram …")
+    diagram = dj.voltage_volume(scene, points=args.points, tolerance=args.tolerance, surface=surface)
+
+    def draw() -> Any:
+        from ..plot.diagrams import chamber_voltages, plot_chamber
+
+        curves = []
+        for voltage in chamber_voltages(diagram) if args.control == "voltage" else []:
+            try:
+                curves += _curves(dj, args, scene.membrane, [voltage], surface)
+            except SceneError:
+                # a flat film holds voltages at which no inflated state is left: there is no curve to draw
+                continue
+        return plot_chamber(diagram, curves, units=args.units)
+
+    return diagram.to_json(), draw
+
+
+def _run_sweep(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
+    from ..sweeps.specification import read_specification
+
+    scene, axes, options = read_specification(args.specification)
+    options |= {"output": args.output, "resume": args.resume, "accept_versions": args.accept_versions}
+    executor = args.scheduler if args.workers is None else args.workers
+    begin = time.perf_counter()
+    try:
+        data = dj.sweep(scene, *axes, **options, executor=executor)
+    except KeyboardInterrupt:
+        if os.path.exists(args.output):
+            print(f"{PROGRAM}: {args.output!r} keeps what is finished, --resume goes on.", file=sys.stderr)
+        raise
+    seconds = time.perf_counter() - begin
+    if args.export is not None:
+        dj.export_sweep(data, args.export)
+        _say(f"wrote {args.export}")
+    return dj.count_sweep(data) | {"seconds": seconds, "store": args.output}, lambda: None
+
+
+def _run_regimes(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
+    from .design_files import read_design_file
+
+    scene, over, options = read_design_file(args.specification, "regimes")
+    _say("regimes …")
+    found = dj.regime_map(scene, over, **options)
+    return found.to_json(), lambda: found.plot().figure
+
+
+def _run_optimise(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
+    from .design_files import read_design_file
+
+    scene, over, options = read_design_file(args.specification, "optimise")
+    _say("design …")
+    found = dj.maximise_area_strain(scene, over, **options)
+
+    def draw() -> Any:
+        return (found.diagram or dj.voltage_volume(found.scene)).plot()
+
+    return found.to_json(), draw
+
+
+def _run_calibrate(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
+    units, membrane = args.units, _membrane(dj, args)
+    # of a measurement voltage, noise and atmosphere stay in the units of the pressures, as the document is
+    outside, voltage = args.atmospheric_pressure, args.voltage
+    if units is not None:
+        outside, voltage = units.to_si(outside, "atmospheric_pressure"), units.to_si(voltage, "voltage")
+    args.units, args.si = None, False
+    read = {n: getattr(args, n) for n in ("columns", "column_units", "branch")}
+    data = dj.read_measurement(args.data, **read, atmospheric_pressure=outside)
+    if data.in_si and units is None:
+        raise ValueError(f"--si must be given with a DATA.csv that names units, but is not with {args.data}.")
+    asked = {n: getattr(args, n) for n in ("over", "loss", "noise", "level")}
+    found = dj.calibrate(data.volume, data.pressure, membrane=membrane, units=units, voltage=voltage, **asked)
+    document = {"scene": dj.describe(found.membrane), **found.to_json(), "notices": list(data.notices)}
+    document |= {n: [option_names(v, args) for v in document[n]] for n in ("notices", "warnings")}
+    if args.json is not None or args.figure is not None:
+        for sentence in (*document["notices"], *document["warnings"]):
+            print(f"{PROGRAM}: {sentence}", file=sys.stderr, flush=True)
+    return document, found.plot
+
+
+_COMMANDS = {
+    "calibrate": _run_calibrate,
+    "sweep": _run_sweep,
+    "regimes": _run_regimes,
+    "optimise": _run_optimise,
+    "equilibrium": _run_equilibrium,
+    "pressure-volume": _run_pressure_volume,
+    "voltage-volume": _run_voltage_volume,
+}
+
+
+def _in_units(document: dict, units: Any, *, read: bool = False) -> dict:
+    """The document in SI, or in the units people read; as it is without units."""
+    if units is None:
+        return document
+    if "diagrams" in document:
+        return {"diagrams": [units.to_document(d, read=read) for d in document["diagrams"]]}
+    return units.to_document(document, read=read)
+
+
+def _write(document: dict, draw: Callable[[], Any], args: argparse.Namespace) -> None:
+    if args.json is not None:
+        text = json.dumps(_in_units(document, args.units), allow_nan=False) + "\n"
+        if args.json == "-":
+            sys.stdout.write(text)
+            sys.stdout.flush()
+        else:
+            Path(args.json).write_text(text, encoding="utf-8")
+            _say(f"wrote {args.json}")
+    figure = getattr(args, "figure", None)
+    if figure is not None:
+        import matplotlib
+
+        matplotlib.use("Agg")
+        draw().savefig(figure, dpi=150)
+        _say(f"wrote {figure}")
+    if args.json is None and figure is None:
+        print(summary(_in_units(document, args.units, read=True)), flush=True)
+
+
+def _run_paper(args: argparse.Namespace) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from .paper import reproduce
+    from .paper_statements import statements_table
+
+    Path(args.output).mkdir(exist_ok=True)
+    try:
+        print(statements_table(reproduce(args.output, args.only, say=_say)), flush=True)
+    except ValueError as error:
+        raise BadInput(option_names(str(error), args)) from error
+
+
+def _answer(args: argparse.Namespace) -> None:
+    """Computes and writes what well-formed options ask for."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    import dielectric_jax as dj
+
+    dj.enable_compilation_cache()
+    if args.command == "paper":
+        return _run_paper(args)
+    if getattr(args, "points", 0) is None:
+        args.points = 256
+    try:
+        args.units = _units(dj, args) if hasattr(args, "si") else None
+        document, draw = _COMMANDS[args.command](dj, args)
+    except (ValueError, ImportError, StoreError) as error:
+        raise BadInput(option_names(str(error), args)) from error
+    _write(document, draw, args)
+
+
+def _status(argv: Sequence[str] | None) -> int:
+    """Runs the program and returns its exit status; what it refuses is one sentence on standard error."""
+    try:
+        _answer(read_arguments(argv))
+    except BadInput as error:
+        print(f"{PROGRAM}: {error}", file=sys.stderr)
+        return 2
+    except (SceneError, WorkersLost) as error:
+        print(f"{PROGRAM}: {error}", file=sys.stderr)
+        return 1
+    except BrokenPipeError:
+        # the reader of standard output has gone; Python must not try to flush to it at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except OSError as error:
+        print(f"{PROGRAM}: {error.filename or 'a file'} could not be written: {error.strerror}.", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print(f"{PROGRAM}: stopped.", file=sys.stderr)
+        return 130
+    return 0
+
+
+@contextlib.contextmanager
+def _warnings_as_sentences() -> Iterator[None]:
+    """Within it this package's warnings are sentences on standard error, and overflow in NumPy's arrays, which ends as NaN
+    that the answer tells of, is none.
+    """
+
+    def show(message: Warning | str, *_: Any, **__: Any) -> None:
+        print(f"{PROGRAM}: {message}", file=sys.stderr)
+
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".* encountered in ", category=RuntimeWarning)
+        warnings.showwarning = show
+        yield
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs the program on `argv` (the process's own arguments when None) and returns its exit status.
+
+    >>> main(["equilibrium", "--volume", "-1"])
+    2
+    """
+    with readable_streams(), _warnings_as_sentences():
+        return _status(argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,373 @@
+"""The options of the command line: what they are called, what they allow, and one sentence for what they refuse."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import re
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from .refusals import BadInput, Parser, one_of
+from ..numerics.codes import LARGEST, shown
+
+__all__ = [
+    "CHAMBER_OPTIONS",
+    "MATERIAL_CONSTANTS",
+    "PROGRAM",
+    "UNIT_CONSTANTS",
+    "BadInput",
+    "option_names",
+    "read_arguments",
+]
+
+PROGRAM = "dielectric-jax"
+_FIGURE_SUFFIXES = ("eps", "jpg", "jpeg", "pdf", "png", "svg")
+CHAMBER_OPTIONS = ("initial_volume", "initial_pressure", "atmospheric_pressure", "polytropic_exponent")
+
+#: the material's own constants, as options and as arguments of its class
+MATERIAL_CONSTANTS = {
+    "gent": ("stretch_limit",),
+    "neo-hookean": (),
+    "arruda-boyce": ("chain_links",),
+    "mooney-rivlin": ("c1", "c2"),
+    "ogden": ("moduli", "exponents"),
+}
+
+_DESCRIPTION = """Equilibria and bifurcation diagrams of a dielectric elastomer membrane on an air chamber.
+Quantities are dimensionless: lengths in A, pressures in μH/A, volumes in A³, voltages in H√(μ/ε); with --si all
+quantities of options and JSON are in SI (Pa, m³, V, V/m for --breakdown), and tables and figures in mbar, ml, kV."""
+
+#: what one means in SI, given with --si only: option, symbol, what it is, and the default
+UNIT_CONSTANTS = {
+    "shear_modulus": ("PA", "shear modulus μ in Pa (45e3)"),
+    "thickness": ("M", "undeformed thickness H in m (1e-3)"),
+    "radius": ("M", "undeformed radius A in m (22.5e-3)"),
+    "relative_permittivity": ("E", "relative permittivity (4.7)"),
+}
+
+
+def _number(check: Callable[[float], bool], what: str) -> Callable[[str], float]:
+    """A reader of numbers that pass `check`; `what` says what is allowed."""
+
+    def read(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not (math.isfinite(value) and check(value)):
+            raise argparse.ArgumentTypeError(f"must be {what}, but is {shown(text)}.")
+        if abs(value) > LARGEST:
+            raise argparse.ArgumentTypeError(f"must be at most {LARGEST:g} in size, but is {shown(text)}.")
+        return value
+
+    return read
+
+
+_finite = _number(lambda v: True, "a finite number")
+_positive = _number(lambda v: v > 0, "a positive finite number")
+_not_negative = _number(lambda v: v >= 0, "zero or a positive finite number")
+_share = _number(lambda v: 0 < v < 1, "a number between 0 and 1")
+# what is divided by a constant of the units must not overflow
+_unit = _number(lambda v: 1 / LARGEST <= v <= LARGEST, f"a positive finite number from {1 / LARGEST:g} to {LARGEST:g}")
+_prestretch = _number(lambda v: v >= 1, "a finite number of at least 1")
+
+
+def _whole(least: int, most: int) -> Callable[[str], int]:
+    """A reader of whole numbers between limits."""
+
+    def read(text: str) -> int:
+        # not int(text) at once: Python refuses thousands of digits with a sentence of its own
+        value = int(text) if re.fullmatch(r"[0-9]{1,18}", text) else -1
+        if not least <= value <= most:
+            raise argparse.ArgumentTypeError(f"must be a whole number from {least} to {most}, but is {shown(text)}.")
+        return value
+
+    return read
+
+
+_points = _whole(2, 1_000_000)
+_count = _whole(1, 10_000)
+
+
+def _breakdown(text: str) -> str | float:
+    if text == "vhb":
+        return text
+    return _number(lambda v: v > 0, "vhb or a positive field in units of √(μ/ε)")(text)
+
+
+def _parser() -> Parser:
+    parser = Parser(prog=PROGRAM, description=_DESCRIPTION)
+    parser.add_argument("--version", action="version", version=f"{PROGRAM} {_version()}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+
+    common = Parser(add_help=False)
+    group = common.add_argument_group("membrane")
+    group.add_argument("--material", choices=list(MATERIAL_CONSTANTS), default="gent", help="free energy (gent)")
+    group.add_argument("--stretch-limit", type=_positive, metavar="J", help="limit J of gent (270)")
+    group.add_argument("--chain-links", type=_positive, metavar="N", help="links of a chain of arruda-boyce (125)")
+    group.add_argument("--c1", type=_not_negative, metavar="C1", help="of mooney-rivlin, in μ (0.45)")
+    group.add_argument("--c2", type=_not_negative, metavar="C2", help="of mooney-rivlin, in μ (0.05)")
+    for name, symbol, what in (("--moduli", "M", "moduli μ_k of ogden, in μ"), ("--exponents", "A", "exponents α_k")):
+        group.add_argument(name, type=_finite, nargs="+", metavar=symbol, help=what)
+    group.add_argument("--prestretch", type=_prestretch, default=1.0, metavar="L0", help="stretch of the rim (1)")
+    group.add_argument(
+        "--breakdown", type=_breakdown, default="vhb", metavar="vhb|FIELD", help="law of the breakdown field (vhb)"
+    )
+    group = common.add_argument_group("units")
+    group.add_argument("--si", action="store_true", help="options and answers in SI")
+    for name, (symbol, what) in UNIT_CONSTANTS.items():
+        group.add_argument(_option(name), type=_unit, metavar=symbol, help=what)
+    group = common.add_argument_group("answer")
+    group.add_argument("--json", metavar="FILE|-", help="write JSON to a file, or to standard output with -")
+    group.add_argument("--figure", metavar="FILE", help=f"draw a figure ({', '.join(_FIGURE_SUFFIXES)})")
+    group.add_argument("--tolerance", type=_positive, default=1e-9, metavar="TOL", help="largest error (1e-9)")
+    group.add_argument("--points", type=_points, metavar="N", help="points of a branch (256)")
+    group.add_argument(
+        "--stretch-window", type=_positive, nargs=2, metavar=("A", "B"), help="window of the apex stretch"
+    )
+    group.add_argument(
+        "--load-window", type=_finite, nargs=2, metavar=("A", "B"), help="window of the load q/q_max (-1 1)"
+    )
+
+    one = commands.add_parser("equilibrium", parents=[common], help="single states", description=_DESCRIPTION)
+    one.add_argument("--voltage", type=_not_negative, default=0.0, metavar="PHI", help="voltage (0)")
+    given = one.add_mutually_exclusive_group(required=True)
+    given.add_argument("--pressure", type=_not_negative, metavar="P", help="prescribed pressure")
+    given.add_argument("--volume", type=_not_negative, metavar="V", help="prescribed volume")
+    given.add_argument("--apex-stretch", type=_positive, metavar="L", help="prescribed stretch of the apex")
+    one.add_argument("--all", action="store_true", help="every state in the window, not only that of smallest volume")
+
+    curve = commands.add_parser(
+        "pressure-volume", parents=[common], help="curves at fixed voltage", description=_DESCRIPTION
+    )
+    curve.add_argument(
+        "--voltage", type=_not_negative, nargs="+", action="extend", metavar="PHI", help="one or more voltages (0)"
+    )
+
+    scene = commands.add_parser(
+        "voltage-volume", parents=[common], help="the diagram of a loading", description=_DESCRIPTION
+    )
+    loading = scene.add_mutually_exclusive_group(required=True)
+    loading.add_argument("--pressure", type=_not_negative, metavar="P", help="constant pressure")
+    loading.add_argument("--chamber-volume", type=_positive, metavar="VC", help="volume of a closed chamber")
+    loading.add_argument("--volume", type=_not_negative, metavar="V", help="prescribed volume under the membrane")
+    filling = scene.add_mutually_exclusive_group()
+    filling.add_argument(
+        "--initial-volume", type=_not_negative, metavar="V0", help="filling of the chamber, as a volume"
+    )
+    filling.add_argument("--initial-pressure", type=_not_negative, metavar="P0", help="… or as a pressure")
+    scene.add_argument(
+        "--atmospheric-pressure", type=_not_negative, metavar="PATM", help="pressure outside (50; 100 kPa)"
+    )
+    scene.add_argument("--polytropic-exponent", type=_positive, metavar="N", help="1 is isothermal (1)")
+    scene.add_argument(
+        "--control", choices=["voltage", "charge"], default="voltage", help="what a ramp changes (voltage)"
+    )
+    scene.add_argument(
+        "--engine", choices=["continuation", "surface"], default="continuation", help="how it is computed"
+    )
+    paper = commands.add_parser(
+        "paper",
+        help="the computed figures of Li et al. (2013), and its statements beside what the equations give",
+        description="Writes figure_3.png, figure_3.json, … and statements.md, and prints the statements.",
+    )
+    paper.add_argument(
+        "--output", required=True, metavar="DIR", help="folder to write to; made where its parent exists"
+    )
+    paper.add_argument("--only", nargs="+", action="extend", metavar="FIGURE", help="numbers of figures (all)")
+
+    many = commands.add_parser("sweep", help="many scenes, kept in a store", description=_DESCRIPTION)
+    many.add_argument("specification", metavar="SPEC.toml", help="which scenes, and with which engine")
+    many.add_argument("--output", metavar="STORE.zarr", required=True, help="the store, written block by block")
+    many.add_argument("--resume", action="store_true", help="go on with the store where there is one")
+    many.add_argument("--accept-versions", action="store_true", help="… also where other versions began it")
+    where = many.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=_count, metavar="N", help="compute in N processes (in this one)")
+    where.add_argument("--scheduler", metavar="ADDRESS", help="… on the cluster of a Dask scheduler")
+    many.add_argument("--export", metavar="FILE", help="in the end also write a .nc (NetCDF) or .csv file")
+    many.add_argument(
+        "--json", metavar="FILE|-", help="write a summary as JSON to a file, or to standard output with -"
+    )
+
+    fit = commands.add_parser(
+        "calibrate", parents=[common], help="constants of a measured pressure–volume curve", description=_DESCRIPTION
+    )
+    fit.add_argument("data", metavar="DATA.csv", help="columns volume and pressure; with units in the first line --si")
+    fit.add_argument(
+        "--columns", nargs=2, metavar=("V", "P"), help="the two columns, by heads or places (by their names)"
+    )
+    fit.add_argument("--column-units", nargs=2, metavar=("V", "P"), help="their units, such as ml kPa (from the heads)")
+    fit.add_argument(
+        "--branch", choices=["loading", "unloading", "all"], help="of a volume that rises and falls (loading)"
+    )
+    fit.add_argument(
+        "--atmospheric-pressure", type=_not_negative, metavar="PATM", help="subtract it from absolute pressures (0)"
+    )
+    fit.add_argument("--voltage", type=_not_negative, default=0.0, metavar="PHI", help="voltage of the measurement (0)")
+    fit.add_argument("--over", nargs="+", metavar="NAME", help="constants sought (those of the material, and μ in SI)")
+    fit.add_argument("--loss", choices=["linear", "huber", "soft_l1"], default="linear", help="of residuals (linear)")
+    fit.add_argument("--noise", type=_positive, metavar="P", help="standard deviation of a pressure (from residuals)")
+    fit.add_argument("--level", type=_share, default=0.95, metavar="P", help="of the confidence intervals (0.95)")
+
+    for name, what in (("regimes", "a map of two parameters"), ("optimise", "the design of largest area strain")):
+        asked = commands.add_parser(name, help=what, description=_DESCRIPTION)
+        asked.add_argument("specification", metavar="SPEC.toml", help="scene, ranges and wishes")
+        asked.add_argument("--json", metavar="FILE|-", help="write JSON to a file, or to standard output with -")
+        asked.add_argument("--figure", metavar="FILE", help=f"draw a figure ({', '.join(_FIGURE_SUFFIXES)})")
+    return parser
+
+
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("dielectric-jax")
+    except PackageNotFoundError:
+        return "(not installed)"
+
+
+def _check(args: argparse.Namespace) -> None:
+    """Refuses what each option allows alone but not with the others."""
+    if args.command == "paper":
+        _check_folder("--output", args.output)
+        return
+    _check_files(args)
+    if args.command in ("regimes", "optimise"):
+        return
+    if args.command == "sweep":
+        _check_sweep(args)
+        return
+    for owner, names in MATERIAL_CONSTANTS.items():
+        for name in names:
+            if getattr(args, name) is not None and owner != args.material:
+                raise BadInput(
+                    f"{_option(name)} must be given with --material {owner} only, but the material is {args.material}."
+                )
+    if (args.moduli is None) != (args.exponents is None):
+        raise BadInput("--moduli and --exponents must be given together, but one is missing.")
+    for name in UNIT_CONSTANTS:
+        if getattr(args, name) is not None and not args.si:
+            raise BadInput(f"{_option(name)} must be given with --si only.")
+    for name in ("stretch_window", "load_window"):
+        window = getattr(args, name)
+        if window is not None and not window[0] < window[1]:
+            raise BadInput(f"{_option(name)} must be two numbers A < B, but is {window[0]:g} {window[1]:g}.")
+    if args.command == "voltage-volume":
+        given = [name for name in CHAMBER_OPTIONS if getattr(args, name) is not None]
+        other = "pressure" if args.pressure is not None else "volume"
+        if args.chamber_volume is None and given:
+            raise BadInput(f"{_option(given[0])} must be given with --chamber-volume only, not with --{other}.")
+        if args.chamber_volume is not None and args.initial_volume is None and args.initial_pressure is None:
+            raise BadInput(
+                "--initial-volume or --initial-pressure must be given with --chamber-volume, but neither is."
+            )
+        if args.control == "charge" and args.engine == "surface":
+            raise BadInput("--engine must be continuation with --control charge, but is surface.")
+    if args.command == "equilibrium" and args.points is not None and args.figure is None:
+        raise BadInput("--points must be given with --figure only for equilibrium, because a state has no branch.")
+
+
+def _check_files(args: argparse.Namespace) -> None:
+    """Refuses names that no file can have, and files that cannot be written."""
+    for name, said in (("specification", "SPEC.toml"), ("data", "DATA.csv")):
+        file = getattr(args, name, None)
+        if file is not None and not _can_be(file):
+            raise BadInput(f"{said} must be the name of a file, but is {shown(file)}.")
+    if args.json is not None and args.json != "-":
+        _check_file("--json", args.json)
+    if getattr(args, "figure", None) is not None:
+        _check_file("--figure", args.figure)
+        if Path(args.figure).suffix[1:].lower() not in _FIGURE_SUFFIXES:
+            raise BadInput(
+                f"--figure must be a file name ending in {one_of(_FIGURE_SUFFIXES)}, but is {shown(args.figure)}."
+            )
+
+
+def _check_sweep(args: argparse.Namespace) -> None:
+    if not _writable(args.output, lambda path: path.parent):
+        raise BadInput(f"--output must be in a folder that exists and can be written, but is {shown(args.output)}.")
+    if args.accept_versions and not args.resume:
+        raise BadInput("--accept-versions must be given with --resume only.")
+    if args.export is not None:
+        _check_file("--export", args.export)
+        if Path(args.export).suffix not in (".nc", ".csv"):
+            raise BadInput(f"--export must be a file name ending in .nc or .csv, but is {shown(args.export)}.")
+
+
+def _writable(name: str, folder_of: Callable[[Path], Path | None]) -> bool:
+    """Whether the folder that a name means to be written in, if it means one, is there and can be written."""
+    if not _can_be(name):
+        return False
+    folder = folder_of(Path(name))
+    return folder is not None and folder.is_dir() and os.access(folder, os.W_OK)
+
+
+def _can_be(name: str) -> bool:
+    """Whether a file of that name can be, whether or not there is one."""
+    try:
+        os.lstat(name)
+    except (FileNotFoundError, NotADirectoryError):
+        return bool(name)
+    except (OSError, ValueError):  # too long, a loop of links, a NUL, characters that the file system does not have
+        return False
+    return True
+
+
+def _check_file(option: str, name: str) -> None:
+    if not _writable(name, lambda path: None if path.is_dir() else path.parent):
+        raise BadInput(f"{option} must be a file in a folder that exists and can be written, but is {shown(name)}.")
+
+
+def _check_folder(option: str, name: str) -> None:
+    def folder(path: Path) -> Path | None:
+        return path if path.is_dir() else None if path.exists() else path.parent
+
+    if not _writable(name, folder):
+        raise BadInput(
+            f"{option} must be a folder that can be written, or made in one that exists, but is {shown(name)}."
+        )
+
+
+def _option(name: str) -> str:
+    return "--" + name.replace("_", "-")
+
+
+def option_names(message: str, args: argparse.Namespace) -> str:
+    """The library's sentence with its arguments' names replaced by the options they came from."""
+    aliases = {
+        "load_fraction": "--load-window",
+        "field": "--breakdown",
+        "constant_field": "--breakdown",
+        "SPEC": "SPEC.toml",
+        "data": "DATA.csv",
+        "executor": "--workers or --scheduler",
+    }
+    if getattr(args, "apex_stretch", None) is None:
+        aliases["apex_stretch"] = "--stretch-window"
+
+    def option(found: re.Match[str]) -> str:
+        name = found[1]
+        if name in aliases:
+            return aliases[name]
+        return _option(name) if hasattr(args, name) else found[0]
+
+    said = re.sub(r"`(\w+)`", option, " ".join(message.split()))
+    if getattr(args, "si", False) and re.search(r"\d", said):
+        said += (
+            " (These numbers are dimensionless: lengths in A, pressures in μH/A, volumes in A³, voltages in H√(μ/ε).)"
+        )
+    return said
+
+
+def read_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
+    """The options of `argv` (the process's own when None), well formed; raises `BadInput` where they are not."""
+    argv = sys.argv[1:] if argv is None else argv
+    for word in argv:
+        if re.fullmatch(r"--[a-z0-9-]+=--", word):  # argparse takes the two dashes away and leaves no value at all
+            raise BadInput(f"{word[:-3]} must be followed by a value, but is followed by '--'.")
+    args = _parser().parse_args(argv)
+    _check(args)
+    return args

@@ -1,0 +1,117 @@
+"""The paper reproduced: its computed figures as scenes and pictures, and its statements beside what the equations give.
+
+Li, Keplinger, Baumgartner, Bauer, Yang and Suo, J. Mech. Phys. Solids 61 (2013) 611, doi 10.1016/j.jmps.2012.09.006.
+Where the text gives no voltages or pressures, those of `paper_figures` are taken. Nothing is tuned towards a statement.
+"""
+
+import json
+import pathlib
+import typing
+
+from ..diagram.diagrams import Diagram, pressure_volume, voltage_volume
+from ..model.loading import Chamber, ConstantPressure
+from ..model.membrane import Membrane, Profile
+from .paper_figures import FIGURES
+from .paper_statements import STATEMENTS, Statement, statements_table
+from ..model.profiles import profile
+from ..numerics.codes import shown
+from ..model.scene import Scene
+from ..model.units import Units
+
+__all__ = ["Paper", "reproduce"]
+
+
+class Paper:
+    """The diagrams behind the figures, each computed when it is first asked for."""
+
+    voltages = (0.0, 0.05, 0.1, 0.15)
+
+    def __init__(self) -> None:
+        self.units = Units()
+        self._known: dict[tuple, Diagram] = {}
+        self._used: dict[tuple, Diagram] = {}
+
+    def _once(self, key: tuple, build: typing.Callable) -> Diagram:
+        if key not in self._known:
+            self._known[key] = build()
+        self._used[key] = self._known[key]
+        return self._known[key]
+
+    def curve(self, voltage: float, prestretch: float = 1.0) -> Diagram:
+        """Pressure against volume."""
+        return self._once(("curve", voltage, prestretch), lambda: pressure_volume(_film(prestretch), voltage))
+
+    def held(self, pressure: float, prestretch: float = 1.0) -> Diagram:
+        """Voltage against volume at constant pressure."""
+        scene = Scene(_film(prestretch), ConstantPressure(pressure))
+        return self._once(("held", pressure, prestretch), lambda: voltage_volume(scene))
+
+    def chamber(self, volume: float) -> Diagram:
+        """Voltage against volume on a chamber filled to V_0 = 2.42."""
+        scene = Scene(_film(1.0), Chamber(volume=volume, initial_volume=2.42))
+        return self._once(("chamber", volume), lambda: voltage_volume(scene))
+
+    def experiment(self, litres: float) -> Diagram:
+        """The experiment's chamber, filled with 12 ml."""
+        chamber = Chamber(volume=litres * 1e-3, initial_volume=12e-6, atmospheric_pressure=100e3)
+        scene = Scene.from_si(_film(1.0), chamber, self.units)
+        return self._once(("experiment", litres), lambda: voltage_volume(scene))
+
+    def profiles(self) -> dict[str, Profile]:
+        """Along the membrane at p = 1.82: before the voltage, at the snap, and at its landing."""
+        events = {e.event: e.state for e in self.held(1.82).ramp().events}
+        return {word: profile(_film(1.0), events[word]) for word in ("start", "snap", "landing")}
+
+    def used(self) -> list[Diagram]:
+        """The diagrams that were asked for since this was asked last."""
+        used, self._used = list(self._used.values()), {}
+        return used
+
+
+def _film(prestretch: float) -> Membrane:
+    return Membrane(prestretch=prestretch)
+
+
+def reproduce(
+    folder: str | pathlib.Path,
+    only: typing.Iterable[str | int] | None = None,
+    *,
+    say: typing.Callable[[str], None] = lambda text: None,
+) -> list[Statement]:
+    """Writes the paper's computed figures, the scenes behind them, and the statements, into a folder that exists.
+
+    Args:
+        folder: where `figure_3.png` …, `figure_3.json` … (the documents of the diagrams a figure shows, or rests on)
+            and `statements.md` go.
+        only: numbers of figures; all when None. Statements are those of the figures made.
+        say: told what is being done.
+
+    Returns:
+        The statements.
+
+    Raises:
+        ValueError: for a figure that the model does not compute.
+    """
+    wanted = list(FIGURES) if only is None else list(dict.fromkeys(str(name) for name in only))
+    for name in wanted:
+        if name not in FIGURES:
+            raise ValueError(
+                f"`only` must be numbers of computed figures, {', '.join(FIGURES)}, but holds {shown(name)}."
+            )
+    folder, paper, statements = pathlib.Path(folder), Paper(), []
+    for name in wanted:
+        say(f"figure {name} …")
+        figure = FIGURES[name](paper)
+        figure.savefig(folder / f"figure_{name}.png", dpi=110)
+        _close(figure)
+        statements += STATEMENTS[name](paper)
+        text = json.dumps({"diagrams": [d.to_json() for d in paper.used()]}, allow_nan=False)
+        (folder / f"figure_{name}.json").write_text(text + "\n", encoding="utf-8")
+    (folder / "statements.md").write_text(statements_table(statements) + "\n", encoding="utf-8")
+    return statements
+
+
+def _close(figure: typing.Any) -> None:
+    import matplotlib.pyplot as plt
+
+    plt.close(figure)

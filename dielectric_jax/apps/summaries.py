@@ -1,0 +1,130 @@
+"""Documents of the command line as tables that people read."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from ..numerics.codes import Code
+
+__all__ = ["summary"]
+
+
+def _number_text(value: Any) -> str:
+    if value is None:
+        return "–"
+    return f"{value:.10g}" if isinstance(value, float) else str(value)
+
+
+def _table(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+    """Columns under their names, as wide as they need to be."""
+    cells = [list(header), *([_number_text(v) for v in row] for row in rows)]
+    widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
+    return "\n".join("  " + "  ".join(c.ljust(w) for c, w in zip(r, widths, strict=True)).rstrip() for r in cells)
+
+
+def _range(values: Sequence[float | None]) -> str:
+    known = [v for v in values if v is not None]
+    return f"{min(known):.6g} to {max(known):.6g}" if known else "–"
+
+
+def summary(document: dict) -> str:
+    """A readable summary of a JSON document of this program."""
+    if "store" in document:
+        counts = [[name, code, n] for name in ("outcome", "regime") for code, n in document[name].items()]
+        title = f"{document['scenes']} scenes in {document['store']}, {document['seconds']:.1f} s"
+        return "\n".join([title, _table(("variable", "code", "scenes"), counts)])
+    if "diagrams" in document:
+        return "\n\n".join(summary(d) for d in document["diagrams"])
+    units = document.get("unit_names", {})
+    scene = ", ".join(
+        f"{k} {_number_text(v)}{_unit_of(k, units) if isinstance(v, float) else ''}"
+        for k, v in document["scene"].items()
+        if v is not None
+    )
+    lines = [f"scene: {scene} ({document['units']})"]
+    if "intervals" in document:
+        return "\n".join([*lines, *_fit_lines(document)])
+    if "boundaries" in document:
+        return "\n".join([*lines, *_map_lines(document)])
+    if "multipliers" in document:
+        return "\n".join([*lines, *_design_lines(document)])
+    if "states" in document:
+        return "\n".join([*lines, *_state_lines("states", document["states"], (), units)])
+    complete = "yes" if document["complete"] else "no, scan and engine disagree"
+    lines.append(f"engine: {document['engine']}, tolerance {document['tolerance']:g}, complete: {complete}")
+    lines += _branch_lines(document["branches"], units)
+    if document["special_points"]:
+        lines += _state_lines("special points", document["special_points"], ("kind", "branch"), units)
+    if document["ramp"]:
+        charge = ("charge",) if "charge" in document["ramp"][0] else ()
+        names = (
+            "event",
+            "direction",
+            "voltage",
+            *charge,
+            "pressure",
+            "volume",
+            "apex_stretch",
+            "breakdown_ratio",
+            "reason",
+        )
+        lines += ["", "ramp", _table(_heads(names, units), [[e[n] for n in names] for e in document["ramp"]])]
+    if document["area_strain_reason"] is not None:
+        lines += ["", f"area strain: {_number_text(document['area_strain'])} ({document['area_strain_reason']})"]
+    return "\n".join(lines)
+
+
+def _fit_lines(document: dict) -> list[str]:
+    rows = [[name, value, *document["intervals"][name]] for name, value in document["parameters"].items()]
+    share = f"{100 * document['level']:g} %"
+    lines = [
+        "",
+        _table(["constant", "value", f"{share} from", "to"], rows),
+        f"noise: {_number_text(document['noise'])}",
+    ]
+    return [*lines, *document.get("notices", ()), *(f"warning: {w}" for w in document["warnings"])]
+
+
+def _map_lines(document: dict) -> list[str]:
+    every = [code for row in document["regimes"] for code in row]
+    shares = [[name, every.count(int(code)) / len(every)] for code, name in document["names"].items()]
+    rows = [
+        [" | ".join(b["regimes"]), b["kind"] or "bisection", len(b[document["over"][0]])]
+        + [_range(b[name]) for name in document["over"]]
+        for b in document["boundaries"]
+    ]
+    header = ["boundary", "kind", "points", *document["over"]]
+    return ["", _table(["regime", "share"], [r for r in shares if r[1]]), "", _table(header, rows)]
+
+
+def _design_lines(document: dict) -> list[str]:
+    rows = [[n, v, n in document["active"], document["multipliers"].get(n)] for n, v in document["slack"].items()]
+    lines = ["", *(f"{n}: {_number_text(v)}" for n, v in document["parameters"].items())]
+    lines += [f"area strain: {_number_text(document['area_strain'])} ({document['regime']})"]
+    return [*lines, "", _table(["constraint", "left", "active", "multiplier"], rows)]
+
+
+def _unit_of(name: str, units: dict[str, str]) -> str:
+    return f" {units[name]}" if name in units else ""
+
+
+def _heads(names: Sequence[str], units: dict[str, str]) -> list[str]:
+    """Column heads: the names, with their units where they have one."""
+    return [name.replace("_", " ") + (f" [{units[name]}]" if name in units else "") for name in names]
+
+
+def _branch_lines(branches: Sequence[dict], units: dict[str, str]) -> list[str]:
+    names = ("voltage_squared", "pressure", "volume", "apex_stretch")
+    header = ["branch", "points", *_heads(names, units), "from", "to", "flags"]
+    rows = [
+        [i, len(b["volume"]), *(_range(b[n]) for n in names), b["start"], b["end"], ", ".join(b["flags"]) or None]
+        for i, b in enumerate(branches)
+    ]
+    codes = dict.fromkeys(code for b in branches for code in (b["start"], b["end"]))
+    sentences = [f"  {code}: {Code[code].sentence}" for code in codes]
+    return ["", "branches", _table(header, rows), *sentences]
+
+
+def _state_lines(title: str, states: Sequence[dict], leading: Sequence[str], units: dict[str, str]) -> list[str]:
+    names = (*leading, "voltage", "pressure", "volume", "apex_stretch", "breakdown_ratio", "index")
+    rows = [[*(s[n] for n in names), f"{s['error_estimate']:.1e}", ", ".join(s["flags"]) or None] for s in states]
+    return ["", title, _table([*_heads(names, units), "error", "flags"], rows)]

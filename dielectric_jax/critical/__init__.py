@@ -1,0 +1,1 @@
+"""Critical points with derivatives, cusps and fold curves."""

@@ -1,0 +1,179 @@
+"""Critical points of a membrane's sheet: peak and valley of the pressure, zero-voltage states, bistability, and cusps.
+
+As in `critical_points`: differentiable functions of every continuous parameter; a point that does not exist raises outside
+transformations, and is NaN inside or with `throw=False`.
+"""
+
+import typing
+
+import numpy as np
+
+from .critical_points import CriticalPoint, engine_of, find, point_of, start_of
+from .load_lines import chamber_cusps, leaf_of, none, onset, pressure_extremes, zero_states
+from .load_lines import pressure_cusp as find_pressure_cusp
+from ..model.loading import Chamber, ConstantPressure, ConstantVoltage
+from ..model.membrane import Membrane
+from .points import CUSP, LEVEL, ONSET, PRESSURE_CUSP, PRESSURE_FOLD, Conditions, attach, attach_free
+from ..numerics.codes import Code, SceneError
+from ..model.scene import Scene
+from ..diagram.states import filling
+
+__all__ = [
+    "bistability_onset",
+    "bistability_point",
+    "cusp",
+    "pressure_cusp",
+    "pressure_peak",
+    "pressure_valley",
+    "zero_voltage_point",
+]
+
+_TOLERANCE = 1e-9
+
+
+def _extreme(name: str, membrane: Membrane, voltage, throw: bool) -> CriticalPoint:
+    if not isinstance(membrane, Membrane):
+        raise ValueError(f"`membrane` must be a Membrane, but is a {type(membrane).__name__}.")
+    scene = Scene(membrane, ConstantVoltage(voltage))
+    load = scene.loading.voltage**2  # pyright: ignore[reportAttributeAccessIssue]
+
+    def one(scene):
+        return [pressure_extremes(scene.membrane, float(scene.loading.voltage) ** 2)[name]]
+
+    found = find((name,), scene, None, one)[name]
+    theta = Conditions(membrane, ConstantVoltage(0.0).contour(), load)
+    return point_of(scene, found, attach(found.state, theta, PRESSURE_FOLD, engine_of(None, found.steps)), throw)
+
+
+def pressure_peak(membrane: Membrane, voltage=0.0, *, throw: bool = True) -> CriticalPoint:
+    """The first peak of the pressure along the pressure–volume curve at a voltage.
+
+    >>> round(float(pressure_peak(Membrane()).pressure), 10)
+    1.9086848294
+    """
+    return _extreme("peak", membrane, voltage, throw)
+
+
+def pressure_valley(membrane: Membrane, voltage=0.0, *, throw: bool = True) -> CriticalPoint:
+    """The first valley of the pressure after its first peak."""
+    return _extreme("valley", membrane, voltage, throw)
+
+
+def _filled(scene: Scene) -> tuple[float | None, float | None]:
+    filled = filling(scene, _TOLERANCE)
+    if filled == (0.0, 0.0):
+        raise SceneError(Code.flat_film)
+    return filled
+
+
+def _states(scene: Scene) -> tuple[np.ndarray, list[np.ndarray]]:
+    """The start of a ramp and all zero-voltage states of a scene."""
+    pressure, volume = _filled(scene)
+    states = zero_states(scene.membrane, scene.loading.contour(pressure, volume))
+    states = [row for row in states if row[5] == int(Code.ok)]
+    if not states:
+        raise SceneError(Code.no_zero_voltage_state)
+    start = states[0] if volume is None else min(states, key=lambda row: abs(row[3] - volume))
+    return start, sorted(states, key=lambda row: row[3])
+
+
+def _check(scene, kinds) -> None:
+    if not isinstance(scene, Scene):
+        raise ValueError(f"`scene` must be a Scene, but is a {type(scene).__name__}.")
+    if not isinstance(scene.loading, kinds):
+        names = " or a ".join(kind.__name__ for kind in kinds)
+        raise ValueError(f"`loading` must be a {names} here, but is {scene.loading!r}.")
+
+
+def zero_voltage_point(scene: Scene, number: int = 0, *, throw: bool = True) -> CriticalPoint:
+    """The state at zero voltage of a given `number` by rising volume, stable or not, of all in the window; −1 is the last.
+
+    >>> scene = Scene(Membrane(), Chamber(volume=1600.0, initial_volume=2.42))
+    >>> round(float(zero_voltage_point(scene, -1).volume), 9)
+    11.756168965
+    """
+    _check(scene, (Chamber, ConstantPressure))
+    if not isinstance(number, int):
+        raise ValueError(f"`number` must be a whole number, but is {number!r}.")
+
+    def one(scene):
+        start, states = _states(scene)
+        there = -len(states) <= number < len(states)
+        return [start, states[number] if there else none(Code.no_zero_voltage_state)]
+
+    found = find(("start", "state"), scene, None, one)
+    of = found["state"]
+    _, theta = start_of(scene, found["start"], None)
+    return point_of(scene, of, attach(of.state, theta, LEVEL, engine_of(None, of.steps)), throw)
+
+
+def _of_chamber(scene: Scene, search: typing.Callable):
+    """The start, the conditions, and what `search` finds from membrane, chamber and filling."""
+    _check(scene, (Chamber,))
+
+    def one(scene):
+        filled = _filled(scene)
+        theta = scene.loading.contour(*filled)
+        start = min(zero_states(scene.membrane, theta), key=lambda row: abs(row[3] - filled[1]))
+        return [start, search(scene.membrane, scene.loading, filled)]
+
+    found = find(("start", "point"), scene, None, one)
+    _, theta = start_of(scene, found["start"], None)
+    return found["point"], theta, leaf_of(theta, "chamber_volume"), engine_of(None, found["point"].steps)
+
+
+def bistability_point(scene: Scene, *, throw: bool = True) -> CriticalPoint:
+    """Where a second stable state at zero voltage first appears as the chamber grows; `parameter` is that chamber's volume.
+
+    It has a fold at zero voltage. The chamber volume of `scene` plays no part.
+    """
+    of, theta, free, engine = _of_chamber(scene, onset)
+    state = attach(of.state, theta, ONSET, engine, free)
+    # the volume by first derivatives alone
+    state = state._replace(free=attach_free(of.state.free, of.state, theta, engine, free))
+    return point_of(scene, of, state, throw)
+
+
+def bistability_onset(scene: Scene):
+    """The chamber volume from which there are two stable states at zero voltage, see `bistability_point`.
+
+    >>> scene = Scene(Membrane(), Chamber(volume=1600.0, initial_volume=2.42))
+    >>> round(float(bistability_onset(scene)), 6)
+    1455.896262
+    """
+    return bistability_point(scene).parameter
+
+
+def cusp(
+    scene: Scene, number: int = 0, *, within: tuple[float, float] = (250.0, 1e5), throw: bool = True
+) -> CriticalPoint:
+    """A cusp of the folds of q over the chamber's volume, where two of them merge: by its `number` among those `within`.
+
+    `parameter` is the volume of the chamber. Cusps are numbered by rising volume.
+    """
+
+    def search(membrane, loading, filled):
+        cusps = chamber_cusps(membrane, loading, filled, within)
+        return cusps[number] if -len(cusps) <= number < len(cusps) else none(Code.no_cusp)
+
+    of, theta, free, engine = _of_chamber(scene, search)
+    return point_of(scene, of, attach(of.state, theta, CUSP, engine, free), throw)
+
+
+def pressure_cusp(
+    membrane: Membrane, voltage=0.0, *, within: tuple[float, float] = (1.0, 4.0), throw: bool = True
+) -> CriticalPoint:
+    """Where peak and valley of the pressure merge as the prestretch grows: `parameter` is that prestretch.
+
+    The prestretch of `membrane` plays no part.
+    """
+    scene = Scene(membrane, ConstantVoltage(voltage))
+    load = scene.loading.voltage**2  # pyright: ignore[reportAttributeAccessIssue]
+
+    def one(scene):
+        return [find_pressure_cusp(scene.membrane, float(scene.loading.voltage) ** 2, within)]
+
+    of = find(("cusp",), scene, None, one)["cusp"]
+    theta = Conditions(membrane, ConstantVoltage(0.0).contour(), load)
+    state = attach(of.state, theta, PRESSURE_CUSP, engine_of(None, of.steps), leaf_of(theta, "prestretch"))
+    return point_of(scene, of, state, throw)

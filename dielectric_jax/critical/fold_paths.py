@@ -1,0 +1,404 @@
+"""Following folds and breakdown as a parameter changes: pseudo-arclength continuation in (λa, p, q, θ), see `two_parameters`."""
+
+import functools
+import math
+import typing
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.optimize import brentq
+
+from .critical_points import Found, find, start_of
+from .engines import ByShooting
+from ..model.equations import SCALE, difficulty, locking_stretch
+from ..numerics.compiled import kept_jit
+from .load_lines import zero_states
+from ..model.loading import Chamber, ConstantPressure, ConstantVoltage
+from ..model.materials import largest_load
+from ..model.membrane import field_ratio_squared
+from .points import BREAKDOWN, PRESSURE, PRESSURE_FOLD, VOLUME, Conditions, Solution, linearised
+from ..numerics.codes import SceneError
+from ..model.scene import SCANNED_LOAD, Scene
+from ..diagram.stations import hermite
+
+__all__ = ["LARGEST_LOAD", "ConditionsOver", "Followed", "Lost", "Place", "System", "follow"]
+
+_GRIDS = ((48.0, 96.0), (144.0, 240.0), (240.0, 320.0))  # of shots, by the difficulty of the state
+_SAFETY, _LEAST = 16.0, 1e-12
+_SETTLED, _AGREED = 1e-6, 1e-7  # Newton's last moves on the coarser grid and on the finer
+_FIRST, _LARGEST, _SMALLEST = 0.02, 0.3, 1e-5  # steps, in scaled unknowns
+_MOST_TURN, _MOST_OFFSET = 0.25, 0.1  # radians; and of the step
+_MOST_POINTS = 2000
+_LEAP = 0.05  # of λa of the filling from one point to the next: it is another branch's
+_ON = 1e-9  # of a level, in scaled unknowns
+_PLACE = 1e-12  # of a point between two, as a share of the way
+LARGEST_LOAD = SCANNED_LOAD  # of t: beyond it folds crowd towards the cone, without end
+_LOG_FROM = 4.0  # the ratio of bounds from which the parameter is followed in its logarithm
+
+
+class Place(typing.NamedTuple):
+    """A point of a curve: scaled unknowns, unit tangent, V, E/E_EB, t = q/q_max(λa), the error of what is located.
+
+    `filling` is λa of the state that fills the chamber.
+    """
+
+    z: np.ndarray
+    tangent: np.ndarray
+    volume: float
+    ratio: float
+    fraction: float
+    error: float
+    filling: float
+
+
+class Lost(RuntimeError):
+    """Newton has not met the curve."""
+
+
+class _NoFilling(Lost):
+    """No state near the last one fills the chamber."""
+
+
+@functools.cache
+def _conditions_program(name: str) -> Callable:
+    """`_conditions_at` of a parameter, as a program."""
+
+    def conditions_at(scene, start, value):
+        return _conditions_at(name, scene, start, value)
+
+    return kept_jit(conditions_at)
+
+
+def _conditions_at(name: str, scene: Scene, start: Found | None, value):
+    """θ at a value of a parameter, from the state that fills the chamber there; and its derivative by the parameter."""
+
+    def conditions(value):
+        own = scene.replace(**{name: value})
+        if isinstance(own.loading, ConstantVoltage):
+            load = jnp.asarray(own.loading.voltage, float) ** 2
+            return _floats(Conditions(own.membrane, own.loading.contour(), load))
+        if start is not None:
+            return _floats(start_of(own, start, None)[1])
+        return _floats(Conditions(own.membrane, own.loading.contour()))
+
+    return jax.jvp(conditions, (value,), (jnp.ones_like(value),))
+
+
+class ConditionsOver:
+    """θ, the equations' parameters, of a scene at a value of one of its parameters, and its derivative by that."""
+
+    def __init__(self, scene: Scene, name: str):
+        self.scene, self.name = scene, name
+        path = scene.path_of(name)
+        own = scene.loading
+        self.filled = isinstance(own, Chamber)
+        still = path[0] == "loading" and not name.startswith("initial")
+        self.moves = not (still or path[:2] == ("membrane", "breakdown"))
+        self.start: Found | None = None
+        self.value = math.nan
+        self._known: dict = {}
+        self._fillings: dict[float, Found] = {}
+
+    def begin_anew(self) -> None:
+        """Forgets the last filling, which may be another branch's; one that does not move stays."""
+        if self.moves:
+            self.start, self._known = None, {}
+
+    @property
+    def filling(self) -> float:
+        """λa of the state that fills the chamber, NaN without one."""
+        return math.nan if self.start is None else float(self.start.state.apex_stretch)
+
+    def check_filling(self) -> None:
+        """Raises where another state fills the chamber than the one that was followed: of several at p_0 the smallest does."""
+        if self.start is None or not self.moves:
+            return
+        scene = self.scene.replace(**{self.name: self.value})
+        target = typing.cast(Chamber, scene.loading).initial_pressure
+        if target is None:
+            return
+        smallest = zero_states(scene.membrane, ConstantPressure(float(target)).contour())
+        if not (smallest and abs(smallest[0][0] - self.filling) < 1e-6):
+            self.begin_anew()
+            raise _NoFilling
+
+    def at(self, value: float, steps: float):
+        """θ and dθ as (leaves that move, their rates).
+
+        The filling is a state of shots of so many steps: so what they miss is in the moves from grid to grid.
+        """
+        if self.value != value:
+            self.value, self._known = value, {}
+        if steps not in self._known:
+            self._known[steps] = self._at(float(value), steps)
+        return self._known[steps]
+
+    def _at(self, value: float, steps: float):
+        start = self._filled(value, steps) if self.filled else None
+        theta, rate = _conditions_program(self.name)(self.scene, start, value)
+        rates = [np.ravel(np.asarray(r)) for r in jax.tree.leaves(rate)]
+        moving = tuple(k for k, r in enumerate(rates) if np.any(r != 0))
+        return theta, moving, np.concatenate([rates[k] for k in moving]) if moving else np.zeros(0)
+
+    def _filled(self, value: float, steps: float) -> Found:
+        """The state that fills the chamber, from the last one."""
+        if not self.moves and steps in self._fillings:
+            return self._fillings[steps]
+        scene = self.scene.replace(**{self.name: value})
+        loading = typing.cast(Chamber, scene.loading)
+        by_volume = loading.initial_volume is not None
+        kind, target = (VOLUME, loading.initial_volume) if by_volume else (PRESSURE, loading.initial_pressure)
+        held = _floats(Conditions(scene.membrane, ConstantVoltage(0.0).contour(), target))
+        state = None if self.start is None else _settled(kind, self.start.state, held, steps)
+        if state is None:
+            self.start = _fill(scene)
+            state = _settled(kind, self.start.state, held, steps)
+        if self.start is None or state is None:
+            raise _NoFilling
+        self.start = self._fillings[steps] = self.start._replace(state=state)
+        return self.start
+
+
+def _settled(kind: str, last: Solution, held: Conditions, steps: float) -> Solution | None:
+    """The state of a kind near the last one, by shots of so many steps; None where Newton does not settle."""
+    u, engine = np.array([float(v) for v in last[:3]]), ByShooting(np.asarray(steps))
+    for _ in range(8):
+        value, by_u = (np.asarray(v) for v in linearised(kind, (), engine, u, held)[:2])
+        move = -np.linalg.solve(by_u[:3], value[:3])
+        u, size = u + move, float(np.abs(move / SCALE).max())
+        if not size < 0.5:
+            return None
+        if size < 1e-8:
+            apex, pressure, load, volume = (jnp.asarray(float(v)) for v in (*u, value[-1]))
+            return Solution(apex, pressure, load, volume)
+    return None
+
+
+def _fill(scene: Scene) -> Found:
+    """The state that fills a chamber at zero voltage."""
+    found = find(("start", "snap"), scene, None)["start"]
+    if not np.isfinite(float(found.state.apex_stretch)):
+        raise _NoFilling
+    return found
+
+
+def _floats(theta: Conditions) -> Conditions:
+    """The same with arrays for leaves, so that programs are shared."""
+    return jax.tree.map(lambda v: jnp.asarray(v, float), theta)
+
+
+class System:
+    """The equations of a kind of curve in scaled unknowns z = (λa, p, q, w), w the place of the parameter within its bounds."""
+
+    def __init__(self, kind: str, conditions: ConditionsOver, within: tuple[float, float]):
+        self.kind, self.conditions, self.within = kind, conditions, within
+        self.logarithmic = within[0] > 0 and within[1] / within[0] > _LOG_FROM
+        self.control = 1 if kind == PRESSURE_FOLD else 2
+        self.membrane = conditions.scene.membrane
+
+    def value(self, w: float) -> float:
+        low, high = self.within
+        return float(low * (high / low) ** w if self.logarithmic else low + w * (high - low))
+
+    def rate(self, w: float) -> float:
+        low, high = self.within
+        return self.value(w) * math.log(high / low) if self.logarithmic else high - low
+
+    def linear(self, z: np.ndarray, steps: float):
+        """F (3,), its Jacobian (3, 4) by z, rows scaled, and V."""
+        theta, moving, rates = self.conditions.at(self.value(z[3]), steps)
+        self.membrane = theta.membrane
+        value, by_u, by_theta = linearised(self.kind, moving, ByShooting(np.asarray(steps)), z[:3] * SCALE, theta)
+        value, by_u, by_theta = (np.asarray(v) for v in (value, by_u, by_theta))
+        along = by_theta @ rates * self.rate(z[3]) if moving else np.zeros(len(value))
+        jacobian = np.concatenate([by_u * SCALE, along[:, None]], axis=1)[:3]
+        size = np.abs(jacobian).max(axis=1)
+        return value[:3] / size, jacobian / size[:, None], float(value[3])
+
+    def _fraction(self, u) -> float:
+        return float(u[2] / largest_load(self.membrane.material, u[:1])[0])
+
+    def meet(self, z: np.ndarray, row: np.ndarray, target: float, towards, reach=0.3, finer=0) -> Place:
+        """The point of the curve with row·z = target near z; its tangent points `towards`. Raises Lost.
+
+        The tangent is that before Newton's last move, which a grid further on makes smaller (`finer`).
+        """
+        begin, length = z, float(np.linalg.norm(row))
+        row, target = row / length, target / length
+        u = z[:3] * SCALE
+        hard = int(difficulty(locking_stretch(self.membrane), u[:1], np.array([self._fraction(u)]))[0])
+        for coarse, fine in _GRIDS[min(hard + finer, 2) :]:
+            size = math.inf
+            for steps in (*[coarse] * 7, fine):
+                if steps == coarse and size < _SETTLED:
+                    continue
+                if not (np.isfinite(z).all() and z[0] * SCALE[0] > 1.0 and np.abs(z - begin).max() < reach):
+                    raise Lost
+                value, jacobian, volume = self.linear(z, steps)
+                try:
+                    move = np.linalg.solve(np.vstack([jacobian, row]), -np.append(value, row @ z - target))
+                    tangent = np.linalg.svd(jacobian)[2][3]
+                except np.linalg.LinAlgError:
+                    raise Lost from None
+                z, size = z + move, float(np.abs(move).max())
+            if size < _AGREED:  # the finer grid finds what is left of Newton, and the coarser one's error
+                return self._place(z, tangent * (-1.0 if tangent @ towards < 0 else 1.0), volume, move)
+        raise Lost
+
+    def relative(self, z: np.ndarray, move: np.ndarray) -> float:
+        """A move of z as that of the control and of the parameter, relative; the greater of the two."""
+        k = self.control
+        of_control = abs(move[k]) * SCALE[k] / max(abs(z[k] * SCALE[k]), 1e-3)
+        return max(of_control, abs(move[3] * self.rate(z[3]) / self.value(z[3])))
+
+    def _place(self, z, tangent, volume: float, move) -> Place:
+        self.conditions.check_filling()
+        u = z[:3] * SCALE
+        error = self.relative(z, move) / _SAFETY + _LEAST
+        ratio = float(field_ratio_squared(self.membrane.breakdown, u[0], u[0]) * u[2])
+        return Place(z, tangent, volume, math.sqrt(max(ratio, 0.0)), self._fraction(u), error, self.conditions.filling)
+
+
+def _between(system: System, one: Place, other: Place, function: typing.Any) -> Place:
+    """The point between two of a curve at which a function of a place vanishes.
+
+    A pair (unknown, value) stands for the level of one unknown, which is met by Newton; others by Brent's method.
+    """
+    if isinstance(function, tuple):
+        column, level = function
+        share = (level - one.z[column]) / (other.z[column] - one.z[column])
+        return system.meet(one.z + share * (other.z - one.z), np.eye(4)[column], level, one.tangent, 2.0)
+    chord = other.z - one.z
+    slopes = [p.tangent * (chord @ chord / (p.tangent @ chord)) for p in (one, other)]
+    known = {0.0: one, 1.0: other}
+
+    def value(s: float) -> float:
+        if s not in known:
+            guess = hermite(one.z, other.z, slopes[0], slopes[1], 1.0, s)
+            known[s] = system.meet(guess, chord, float(chord @ guess), one.tangent, finer=1)
+        return float(function(known[s]))
+
+    s = float(brentq(value, 0.0, 1.0, xtol=_PLACE))  # pyright: ignore[reportArgumentType]
+    value(s)
+    return known[s]._replace(error=known[s].error + system.relative(known[s].z, _PLACE * chord))
+
+
+class Followed(typing.NamedTuple):
+    """A curve: its places in order, why it ends on either side, places at levels of the parameter, and its points by kind."""
+
+    places: list[Place]
+    ends: tuple[str, str]
+    crossings: list[tuple[int, Place]]
+    points: list[tuple[str, Place]]
+
+
+def follow(system: System, start: Place, levels: np.ndarray, largest_ratio: float) -> Followed:
+    """The curve through `start`, both ways; it is met exactly where w takes one of `levels`."""
+    ahead, end, crossed, met = _one_way(system, start, 1.0, levels, largest_ratio)
+    if end == "closed":
+        return Followed(ahead, (end, end), crossed, met)
+    behind, begin, more, others = _one_way(system, start, -1.0, levels, largest_ratio)
+    return Followed([*reversed(behind[1:]), *ahead], (begin, end), crossed + more, met + others)
+
+
+def _one_way(system: System, start: Place, sense: float, levels: np.ndarray, largest_ratio: float):
+    """The places from `start` on, why there are no more, the crossings and the points."""
+    places, crossings, points = [start._replace(tangent=sense * start.tangent)], [], []
+    step, bend = _FIRST, np.zeros(4)
+    while len(places) < _MOST_POINTS:
+        here = places[-1]
+        turn = offset = math.inf
+        passed, lost, there = None, "step_too_small", here
+        try:
+            ahead, guess, end = _ahead(system, here, step, bend)
+            if ahead is None:
+                return places, end, crossings, points
+            there = ahead
+            turn = math.acos(min(1.0, there.tangent @ here.tangent))
+            offset = float(np.linalg.norm(there.z - guess)) / step
+            # a law of breakdown may have a kink, and its curve a corner
+            corner = system.kind == BREAKDOWN and step < 4 * _SMALLEST
+            if (turn <= _MOST_TURN and offset <= _MOST_OFFSET) or corner:
+                passed = _passed(system, here, there, levels, largest_ratio, end)
+        except _NoFilling:
+            lost = "no_filling"
+        except (Lost, SceneError, ValueError):  # the curve, or the scene, is not there: a shorter step tells where
+            pass
+        if passed is None:
+            step /= 2
+            if step < _SMALLEST:
+                leapt = abs(system.conditions.filling - here.filling) > _LEAP
+                return places, "no_filling" if leapt else lost, crossings, points
+            system.conditions.begin_anew()
+            continue
+        more, crossed, met, end = passed
+        places += more
+        crossings += crossed
+        points += met
+        if end:
+            return places, end, crossings, points
+        length = float(np.linalg.norm(there.z - here.z))
+        bend = (there.tangent - here.tangent) / length
+        away = float(np.linalg.norm(there.z - start.z))
+        if len(places) > 4 and away < length and sense * there.tangent @ start.tangent > 0.5:
+            places[-1] = places[0]
+            return places, "closed", crossings, points
+        ease = min(0.5 * _MOST_TURN / (turn + 1e-12), 0.5 * _MOST_OFFSET / (offset + 1e-12))
+        step = min(max(step * min(max(math.sqrt(ease), 0.5), 2.0), _SMALLEST), _LARGEST)
+    return places, "too_many_points", crossings, points
+
+
+def _ahead(system: System, here: Place, step: float, bend) -> tuple[Place | None, np.ndarray, str]:
+    """The next place, its prediction, and which bound it lies on, if it does; None where a bound is here already."""
+    guess = here.z + step * here.tangent + step**2 / 2 * bend
+    if 0 <= guess[3] <= 1:
+        there = system.meet(guess, here.tangent, here.tangent @ guess, here.tangent, 2 * step)
+        if 0 <= there.z[3] <= 1:
+            return there, guess, ""
+        guess = there.z
+    end, bound = ("lower_bound", 0.0) if guess[3] < 0 else ("upper_bound", 1.0)
+    if abs(here.z[3] - bound) < _ON:
+        return None, guess, end
+    guess = here.z + (guess - here.z) * (bound - here.z[3]) / (guess[3] - here.z[3])
+    return system.meet(guess, np.eye(4)[3], bound, here.tangent, 2 * step), guess, end
+
+
+def _passed(system: System, here: Place, there: Place, levels: np.ndarray, largest_ratio: float, end: str):
+    """What lies between two places and the second, in order; crossings, points, and why the curve ends there, if it does."""
+    control = system.control
+    found: list[Place] = []
+    crossings: list[tuple[int, Place]] = []
+    points: list[tuple[str, Place]] = []
+    # what ends the curve comes first: nothing beyond it is told
+    for reason, function in (
+        ("zero_voltage", lambda p: p.z[2]),
+        ("largest_ratio", lambda p: largest_ratio - p.ratio),
+        ("largest_load", lambda p: LARGEST_LOAD - p.fraction),
+    ):
+        if system.kind == PRESSURE_FOLD and reason == "zero_voltage":
+            continue
+        if function(there) < 0 and function(here) < _ON:
+            return [], [], [], reason
+        if function(there) < 0:
+            level = (2, 0.0) if reason == "zero_voltage" else function
+            there, end = _between(system, here, there, level), reason
+    for i, w in enumerate(levels):
+        before, after = here.z[3] - w, there.z[3] - w
+        if abs(after) < _ON or (before * after < 0 and abs(before) > _ON):
+            place = there if abs(after) < _ON else _between(system, here, there, (3, w))
+            found.append(place)
+            crossings.append((i, place))
+    if system.kind != BREAKDOWN:
+        if here.tangent[3] * there.tangent[3] < 0:
+            both = here.tangent[control] * there.tangent[control] < 0
+            points.append(("cusp" if both else "merger", _between(system, here, there, lambda p: p.tangent[3])))
+        if (here.ratio < 1) != (there.ratio < 1):
+            points.append(("fold_at_breakdown", _between(system, here, there, lambda p: p.ratio - 1)))
+        if end == "zero_voltage":
+            points.append((end, there))
+    chord = there.z - here.z
+    found += [place for _, place in points]
+    found = [place for place in found if place is not there]
+    return [*sorted(found, key=lambda p: float((p.z - here.z) @ chord)), there], crossings, points, end

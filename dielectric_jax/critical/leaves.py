@@ -1,0 +1,86 @@
+"""Scenes told by the numbers in the leaves of their pytrees: how a transformed function hands many of them to the host."""
+
+import dataclasses
+import typing
+from collections.abc import Sequence
+
+import jax
+import numpy as np
+
+from ..numerics.codes import Code
+from ..model.scene import Scene
+from ..surface.surface import Surface
+
+__all__ = ["Scenes"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Scenes(Sequence):
+    """Scenes of one kind: for every leaf of their pytree an array whose first axis counts them.
+
+    Built one by one when asked for.
+    """
+
+    tree: typing.Any
+    leaves: list[np.ndarray]
+
+    @staticmethod
+    def of(tree, shapes: list[tuple], leaves) -> tuple["Scenes", tuple]:
+        """From leaves (…, *shape) of common leading axes, and those axes."""
+        leaves = [np.asarray(leaf, float) for leaf in leaves]
+        leading = np.broadcast_shapes(
+            *(leaf.shape[: leaf.ndim - len(s)] for leaf, s in zip(leaves, shapes, strict=True))
+        )
+        flat = [np.broadcast_to(v, (*leading, *s)).reshape(-1, *s) for v, s in zip(leaves, shapes, strict=True)]
+        return Scenes(tree, flat), leading
+
+    def __len__(self) -> int:
+        return len(self.leaves[0])
+
+    def __getitem__(self, which) -> typing.Any:
+        if isinstance(which, (int, np.integer)):
+            return jax.tree.unflatten(self.tree, [np.asarray(leaf[which]) for leaf in self.leaves])
+        return Scenes(self.tree, [leaf[which] for leaf in self.leaves])
+
+    def columns(self) -> Scene:
+        """One scene whose leaves are columns."""
+        return jax.tree.unflatten(self.tree, self.leaves)
+
+    def admissible(self, surface: Surface | None) -> np.ndarray:
+        """For each the code of what is wrong with its numbers, which were unknown when it was written down."""
+        code = np.full(len(self), int(Code.ok))
+        if surface is not None:
+            own, tree = jax.tree.flatten(surface.membrane)
+            seen, same = jax.tree.flatten(self.columns().membrane)
+            if tree != same:
+                code[:] = int(Code.other_membrane)
+            else:
+                for value, column in zip(own, seen, strict=True):
+                    equal = (column == np.asarray(value)).reshape(len(self), -1).all(axis=1)
+                    code[~equal] = int(Code.other_membrane)
+        return np.where(self._valid(surface), code, int(Code.no_equilibrium))
+
+    def _valid(self, surface: Surface | None) -> np.ndarray:
+        finite = [np.isfinite(leaf).reshape(len(self), -1).all(axis=1) for leaf in self.leaves]
+        good: typing.Any = np.all(finite, axis=0)
+        loading = self.columns().loading
+        for name in loading.__dataclass_fields__:
+            value = getattr(loading, name)
+            if value is not None:
+                good &= (value >= 0) if name in ("atmospheric_pressure", "voltage") else (value > 0)
+        if surface is None:  # else the membrane is the surface's
+            for i in np.flatnonzero(good):
+                good[i] = _constructed(self[i])
+        return good
+
+
+def _constructed(scene: Scene) -> bool:
+    """Whether the constructors take the scene's membrane."""
+    try:
+        for module in (scene.membrane.material, scene.membrane.breakdown, scene.membrane):
+            check = getattr(module, "__check_init__", None)
+            if check is not None:
+                check()
+    except ValueError:
+        return False
+    return True

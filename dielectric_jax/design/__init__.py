@@ -1,0 +1,1 @@
+"""Designs: regimes over parameters, optimisation, calibration."""

@@ -1,0 +1,398 @@
+"""Material constants from a measured pressure–volume curve, by least squares with exact Jacobians (`curve_model`)."""
+
+import dataclasses
+import math
+import typing
+from collections.abc import Sequence
+
+import equinox as eqx
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
+from scipy.stats import t as student
+
+from .constants import sought_constants
+from .curve_model import LEAST_VOLUME, CurveModel
+from .fit_checks import check_determined, check_intervals, check_optimal, looks_absolute, misfit_warnings
+from ..model.materials import ConstantBreakdown, VHBBreakdown
+from .measurements import BELOW_ZERO, runs_of
+from ..model.membrane import Membrane
+from ..numerics.codes import check_positive
+from ..model.units import Units
+
+__all__ = ["Calibration", "calibrate"]
+
+_LOSSES = ("linear", "huber", "soft_l1")
+_MOST_STEPS = 200
+_ROUNDS_OF_SCALE = 12
+_HUBER = 1.345  # 95 % as efficient as least squares where the noise is normal
+_MODULI = 1e2, 1e9  # Pa, the shear moduli of gels to hard rubbers
+_LEAST_LARGEST, _MOST = 0.02, 1e5  # A³; at the least the film is deflected by 1 % of its radius
+_MAD = 0.6744897501960817  # of a normal distribution's absolute deviations, the median
+
+
+@dataclasses.dataclass(frozen=True)
+class Calibration:
+    """Constants that fit a measured pressure–volume curve best, and how well they are known.
+
+    `parameters` are the constants, `intervals` their confidence intervals at `level`, `correlation` (m, m) that of the
+    estimates in the order of `parameters`. `volume`, `pressure`, `fit` (n,) are the measurement and the model at its
+    volumes, in the units of the measurement; `residuals` = pressure − fit; `noise` is the estimated standard deviation of
+    one pressure; `membrane` is the membrane with the constants put in, `units` the units with the shear modulus.
+    `warnings` are sentences on what makes the constants doubtful: above all a misfit that is no noise.
+    """
+
+    parameters: dict[str, float]
+    intervals: dict[str, tuple[float, float]]
+    level: float
+    correlation: np.ndarray
+    noise: float
+    volume: np.ndarray
+    pressure: np.ndarray
+    fit: np.ndarray
+    membrane: Membrane
+    units: Units | None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def residuals(self) -> np.ndarray:
+        """pressure − fit, (n,)."""
+        return self.pressure - self.fit
+
+    def plot(self, *, axes: typing.Any = None) -> typing.Any:
+        """Draws measurement and fit, and the residuals in units of the noise; returns the figure.
+
+        `axes` are two to draw on, else new ones.
+        """
+        import matplotlib.pyplot as plt
+
+        if axes is None:
+            _, axes = plt.subplots(2, 1, figsize=(5.5, 5.5), sharex=True, height_ratios=(3, 1), layout="constrained")
+        upper, lower = axes
+        scale = (lambda name: 1.0) if self.units is None else (lambda name: {"volume": 1e-6, "pressure": 100.0}[name])
+        order = np.argsort(self.volume)
+        volume = self.volume[order] / scale("volume")
+        upper.plot(volume, self.pressure[order] / scale("pressure"), "o", color="#0072B2", label="measured")
+        text = [f"{n.replace('_', ' ')} {v:.4g}" for n, v in self.parameters.items()]
+        if self.units is not None and "shear_modulus" in self.parameters:
+            place = list(self.parameters).index("shear_modulus")
+            text[place] = f"shear modulus {self.parameters['shear_modulus'] / 1e3:.4g} kPa"
+        upper.plot(volume, self.fit[order] / scale("pressure"), "-", color="#D55E00", label="fit: " + ", ".join(text))
+        upper.set_ylabel("Pressure p A / (μH)" if self.units is None else "Pressure p / mbar")
+        upper.legend()
+        lower.axhspan(-2, 2, color="0.9")
+        lower.axhline(0.0, color="0.5", linewidth=0.8)
+        lower.plot(volume, self.residuals[order] / max(self.noise, 1e-300), "o", color="#0072B2")
+        lower.set_ylabel("Residual / noise")
+        lower.set_xlabel("Volume V / A³" if self.units is None else "Volume V / ml")
+        return upper.figure
+
+    def to_json(self) -> dict:
+        """Everything but the membrane as a JSON document; null where a number is not finite."""
+        return _finite_or_none(self._document())
+
+    def _document(self) -> dict:
+        return {
+            "units": "dimensionless" if self.units is None else "SI",
+            "parameters": self.parameters,
+            "intervals": {name: list(pair) for name, pair in self.intervals.items()},
+            "level": self.level,
+            "correlation": self.correlation.tolist(),
+            "noise": self.noise,
+            "volume": self.volume.tolist(),
+            "pressure": self.pressure.tolist(),
+            "fit": self.fit.tolist(),
+            "residuals": self.residuals.tolist(),
+            "warnings": list(self.warnings),
+        }
+
+
+def _finite_or_none(value: typing.Any) -> typing.Any:
+    """The document without infinities and NaN, which JSON does not have."""
+    if isinstance(value, dict):
+        return {name: _finite_or_none(v) for name, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite_or_none(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _minimum(curve: CurveModel, free: np.ndarray, pressure: np.ndarray, loss: str, scale: float) -> np.ndarray:
+    """The free parameters of the least loss, with residuals in units of `scale`, by SciPy's trust region."""
+    known: dict = {}
+    far = 1e3 * float(np.abs(pressure).max())
+
+    def at(x):
+        if known.get("x") is None or (known["x"] != x).any():
+            value, jacobian = curve(x)
+            # where there is no state, or a constant is not allowed: far from the data, so that the step is taken back
+            value = np.where(np.isfinite(value), value, far)
+            known.update(x=np.array(x), residual=(value - pressure) / scale, jacobian=np.nan_to_num(jacobian) / scale)
+        return known
+
+    found = least_squares(
+        lambda x: at(x)["residual"],
+        free,
+        jac=lambda x: at(x)["jacobian"],  # pyright: ignore[reportArgumentType]
+        bounds=(curve.lowest, np.inf),
+        loss=loss,
+        f_scale=_HUBER if loss == "huber" else 1.0,
+        x_scale="jac",
+        ftol=1e-13,
+        xtol=1e-11,
+        gtol=1e-13,
+        max_nfev=_MOST_STEPS,
+    )
+    return found.x
+
+
+def calibrate(
+    volume: ArrayLike,
+    pressure: ArrayLike,
+    *,
+    membrane: Membrane | None = None,
+    over: Sequence[str] | None = None,
+    units: Units | None = None,
+    voltage: float = 0.0,
+    loss: str = "linear",
+    noise: float | None = None,
+    level: float = 0.95,
+) -> Calibration:
+    """Constants of a membrane from its measured pressure–volume curve.
+
+    Minimises Σ ρ((p_i − p(V_i; θ))/σ) over θ, with ρ(x) = x²/2 ("linear"), Huber's, or √(1 + x²) − 1 ("soft_l1"), which
+    an outlier hardly moves. The intervals are those of linearised least squares in log θ (in θ itself for the prestretch and
+    for constants of either sign) with Student's t; under a robust loss the covariance is that of an M-estimator. Where the
+    starting values do not reach the largest volume, positive constants are raised until they do.
+
+    Args:
+        volume: measured volumes (n,) under the membrane.
+        pressure: measured pressures (n,), above the atmosphere's.
+        membrane: material, prestretch and the constants that stay; those sought are starting values.
+        over: names of the constants: those of the material (of a tuple `moduli` all, or `moduli[0]`), "prestretch", and
+            with `units` "shear_modulus". By default the shear modulus, where there are units, and every constant of the
+            elasticity but exponents; without the shear modulus where the constants have it as their unit, as in MooneyRivlin.
+        units: where given, the measurement is in SI (m³, Pa, and `voltage` in V); its shear modulus is a starting value.
+        voltage: Φ during the measurement.
+        loss: "linear", "huber" or "soft_l1".
+        noise: standard deviation of one pressure, if known; else it is estimated from the residuals.
+        level: of the confidence intervals.
+
+    Raises:
+        ValueError: for bad input; where no fit is found; for constants that the curve does not determine; for a curve that
+            the material does not follow at all.
+
+    >>> import numpy as np
+    >>> from dielectric_jax import Gent, equilibrium
+    >>> film = Membrane(Gent(stretch_limit=120.0))
+    >>> volume = np.geomspace(0.5, 60.0, 12)
+    >>> pressure = np.array([equilibrium(film, volume=v).pressure for v in volume])
+    >>> round(calibrate(volume, pressure, membrane=Membrane()).parameters["stretch_limit"], 4)
+    120.0
+    """
+    membrane = Membrane() if membrane is None else membrane
+    volume, pressure = _measured(volume, pressure)
+    names = sought_constants(membrane.material, over, units is not None)
+    _check_options(loss, level, voltage, noise)
+    volume, pressure, warnings = _usable(volume, pressure, units)
+    if len(volume) <= len(names):
+        raise ValueError(
+            f"`volume` must hold more points than constants are sought, {len(names)}, but holds {len(volume)}."
+        )
+    # volumes without unit, pressures in units of the one that "shear_modulus" multiplies, q times that
+    of_volume, of_pressure, q_scale = _scales(names, units, float(voltage))
+    shear = 1.0 if units is None else float(units.shear_modulus)
+    curve = CurveModel(membrane, names, volume / of_volume, q_scale, shear)
+    try:
+        fit = _fit(curve, pressure / of_pressure, loss, None if noise is None else noise / of_pressure)
+        found = _result(curve, fit, level, volume, pressure, of_pressure, units)
+        warnings += check_intervals(found.intervals, found.parameters, level)
+        seek = "" if "prestretch" in names else "seek more constants, such as the prestretch, "
+        warnings += misfit_warnings(
+            volume,
+            pressure,
+            found.fit,
+            robust=loss != "linear",
+            noise=noise,
+            unit="" if units is None else " Pa",
+            advice=f"{seek}take another material, or check the units, the radius and the zero of the pressures.",
+        )
+    except ValueError as error:
+        if units is not None and looks_absolute(volume, pressure):
+            raise ValueError(_ABSOLUTE.format(low=float(pressure.min()), high=float(pressure.max()))) from error
+        raise
+    return dataclasses.replace(found, warnings=tuple(warnings + _doubtful(found)))
+
+
+_ABSOLUTE = (
+    "`pressure` must be above the atmosphere's, but is {low:.6g} to {high:.6g} Pa from the smallest volume on, which looks "
+    "absolute, and no fit follows it; subtract the atmospheric pressure, about 101.3 kPa."
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Fit:
+    """The best free parameters (m,), the model's pressures there (n,), their Jacobian (n, m), and their noise.
+
+    `spread` is the factor on (JᵀJ)^-½ of the estimates' errors.
+    """
+
+    free: np.ndarray
+    pressure: np.ndarray
+    jacobian: np.ndarray
+    noise: float
+    spread: float
+
+
+def _fit(curve: CurveModel, pressure: np.ndarray, loss: str, noise: float | None) -> _Fit:
+    """The best fit, checked: a minimum whose constants the curve determines."""
+    start = curve.reachable_start()
+    free = np.maximum(curve.free_of(curve.scaled(start, pressure)), curve.lowest)
+    largest = float(np.abs(pressure).max())
+    scale = 0.02 * largest if noise is None else noise
+    curve.refine(start)
+    free = _minimum(curve, free, pressure, "linear", scale)
+    if curve.refine(curve.values_of(free)):
+        free = _minimum(curve, free, pressure, "linear", scale)
+    for _ in range(_ROUNDS_OF_SCALE if loss != "linear" else 0):
+        if noise is None:  # the scale of a robust loss is that of its own residuals
+            scale = max(float(np.median(np.abs(pressure - curve(free)[0]))) / _MAD, 1e-9 * largest)
+        free, before = _minimum(curve, free, pressure, loss, scale), free
+        if np.abs(free - before).max() < 1e-9:
+            break
+    fit, jacobian = curve(free)
+    values, residual = curve.values_of(free), pressure - fit
+    if not np.isfinite(fit).all():
+        raise ValueError(
+            f"`pressure` must be a curve that the material can follow, but no fit of {', '.join(curve.names)} was found from "
+            f"{ {n: float(s) for n, s in curve.start.items()} }; start elsewhere, or seek fewer constants."
+        )
+    check_determined(curve.start, values, jacobian, pressure)
+    pull = residual if loss == "linear" else scale * _psi(residual / scale, loss)[0]
+    check_optimal(curve.start, values, jacobian, pull, pressure, free - curve.lowest < 1e-3)
+    freedom = len(pressure) - len(free)
+    spread = _spread(residual, freedom, loss, scale, noise is not None)
+    own = float(np.sqrt(residual @ residual / freedom)) if loss == "linear" else scale
+    return _Fit(free, fit, jacobian, own, spread)
+
+
+def _result(curve: CurveModel, fit: _Fit, level, volume, pressure, of_pressure: float, units) -> Calibration:
+    """The constants with their intervals, and the membrane and units that have them."""
+    names, values = curve.names, curve.values_of(fit.free)
+    # through the QR decomposition: JᵀJ would square the Jacobian's condition
+    inverse = np.linalg.inv(np.linalg.qr(fit.jacobian, mode="r"))
+    covariance = inverse @ inverse.T * fit.spread**2
+    error = np.sqrt(np.diag(covariance))
+    reach = student.ppf((1 + level) / 2, len(volume) - len(names)) * error
+    low, high = (curve.values_of(np.maximum(fit.free + s * reach, curve.lowest)) for s in (-1, 1))
+    membrane = curve.membrane_of(values)
+    if units is not None and "shear_modulus" in names:
+        before = units
+        units = eqx.tree_at(lambda u: u.shear_modulus, units, np.asarray(values["shear_modulus"]))
+        membrane = Membrane(membrane.material, membrane.prestretch, _law_in(membrane.breakdown, before, units))
+    return Calibration(
+        parameters=values,
+        intervals={n: (low[n], high[n]) for n in names},
+        level=level,
+        correlation=covariance / np.outer(error, error),
+        noise=fit.noise * of_pressure,
+        volume=volume,
+        pressure=pressure,
+        fit=fit.pressure * of_pressure,
+        membrane=membrane,
+        units=units,
+    )
+
+
+def _psi(x, loss: str):
+    """ψ = ρ' of a robust loss, and its rate."""
+    if loss == "huber":
+        return np.clip(x, -_HUBER, _HUBER), np.abs(x) < _HUBER
+    return x / np.sqrt(1 + x**2), (1 + x**2) ** -1.5
+
+
+def _spread(residual, freedom: int, loss: str, scale: float, known: bool) -> float:
+    """The factor on (JᵀJ)^-½ of the estimates' errors, Huber's for M-estimators: s √(Σψ²/(n − m)) / mean ψ'."""
+    if loss == "linear":
+        return scale if known else float(np.sqrt(residual @ residual / freedom))
+    psi, rate = _psi(residual / scale, loss)
+    return float(scale * np.sqrt(psi @ psi / freedom) / np.mean(rate))
+
+
+def _law_in(law, before: Units, units: Units):
+    """The breakdown law with the same field in V/m, in the new unit √(μ/ε)."""
+    if isinstance(law, VHBBreakdown):
+        return VHBBreakdown(law.scale, units.shear_modulus, law.relative_permittivity)
+    return units.reduce(before.to_si(law)) if isinstance(law, ConstantBreakdown) else law
+
+
+def _scales(names: Sequence[str], units: Units | None, voltage: float) -> tuple[float, float, float]:
+    """The units of the curve's volumes and pressures, and q times the shear modulus where that is sought."""
+    if units is None:
+        return 1.0, 1.0, voltage**2
+    of_volume = float(units.scale("volume"))
+    if "shear_modulus" in names:
+        return (
+            of_volume,
+            float(units.thickness / units.radius),
+            float(voltage**2 * units.permittivity / units.thickness**2),
+        )
+    return of_volume, float(units.scale("pressure")), float(voltage**2 / units.scale("voltage_squared"))
+
+
+def _doubtful(found: Calibration) -> list[str]:
+    """What else makes the constants doubtful."""
+    said = []
+    if len(runs_of(found.volume)) > 1:
+        said.append("The volume rises and falls: loading and unloading are fitted together; give one of them.")
+    low, high = _MODULI
+    shear = found.parameters.get("shear_modulus", 0.5 * (low + high))
+    if not low < shear < high:
+        said.append(
+            f"The shear modulus, {shear:.3g} Pa, is none of an elastomer; check the units, the thickness and the radius."
+        )
+    return said
+
+
+def _check_options(loss: str, level: float, voltage: float, noise: float | None) -> None:
+    if loss not in _LOSSES:
+        raise ValueError(f"`loss` must be one of {', '.join(_LOSSES)}, but is {loss!r}.")
+    if not 0 < level < 1:
+        raise ValueError(f"`level` must lie between 0 and 1, but is {level!r}.")
+    check_positive("voltage", float(voltage), zero=True)
+    if noise is not None:
+        check_positive("noise", float(noise))
+
+
+def _measured(volume, pressure) -> tuple[np.ndarray, np.ndarray]:
+    volume, pressure = np.asarray(volume, float), np.asarray(pressure, float)
+    for name, values in (("volume", volume), ("pressure", pressure)):
+        if values.ndim != 1 or values.shape != volume.shape or not values.size:
+            raise ValueError(
+                f"`{name}` must be one row of numbers, as long as the other, but has shape {values.shape}."
+            )
+        least = (
+            0.0 if name == "volume" else -BELOW_ZERO * max(np.max(values, initial=0.0, where=np.isfinite(values)), 0.0)
+        )
+        good = np.isfinite(values) & ((values > 0) | (values > least))
+        if not good.all():
+            wrong = int(np.flatnonzero(~good)[0])
+            raise ValueError(
+                f"`{name}` must be positive and finite, but is {float(values[wrong])!r} at point {wrong}."
+                + ("" if name == "volume" else f" (Down to −{100 * BELOW_ZERO:g} % of the largest counts as noise.)")
+            )
+    return volume, pressure
+
+
+def _usable(volume, pressure, units: Units | None) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """The points whose volume is that of an inflated film, and what is said of the others."""
+    cube = 1.0 if units is None else float(units.scale("volume"))
+    unit = "" if units is None else f" of a film of radius {float(units.radius):.4g} m"
+    share = volume / cube
+    if not _LEAST_LARGEST < share.max() < _MOST:
+        raise ValueError(
+            f"`volume` must be that of an inflated film, but the largest is {share.max():.3g} A³{unit}, where {_LEAST_LARGEST} to "
+            f"{_MOST:g} A³ are possible; check the unit of the volumes and the radius."
+        )
+    keep = share >= LEAST_VOLUME
+    said = f"{np.sum(~keep)} points are left out whose volume is below {LEAST_VOLUME:g} A³, where the film is flat."
+    return volume[keep], pressure[keep], [] if keep.all() else [said]

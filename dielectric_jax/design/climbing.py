@@ -1,0 +1,276 @@
+"""The climb to a best design: its constraints on every scenario, with exact values and gradients, for SciPy's SLSQP."""
+
+import dataclasses
+import typing
+
+import numpy as np
+import scipy.optimize
+
+from .design_points import Kind, measure
+from .designs import classify_designs
+from ..model.outcomes import Outcome, Regime
+from .regime_maps import check_range, even
+from ..numerics.codes import check_between
+from .scenarios import Scenario
+from ..model.scene import Scene
+
+__all__ = ["NEAR", "Axis", "Climb", "Wishes", "axis_of", "inwards", "scan_designs"]
+
+NEAR = 1e-6  # a constraint this near to its limit holds with equality
+_FAILED = 1e2
+_FAR = 0.2  # of the unknowns: tangents are followed no farther
+_AT_END = 1e-9  # of a range: nearer to it is at it
+_CLOSE = 1e-5  # constraints this near to their limit are met exactly in the end
+
+
+@dataclasses.dataclass(frozen=True)
+class Wishes:
+    """What a design must fulfil."""
+
+    survival_margin: float
+    operating_margin: float
+    must_snap: bool
+    way_down: str | None
+
+    def __post_init__(self):
+        for name in ("survival_margin", "operating_margin"):
+            value = getattr(self, name)
+            check_between(name, value, 0.0, 0.99)
+        if self.way_down not in (None, "stays", "returns"):
+            raise ValueError(f"`way_down` must be 'stays', 'returns' or None, but is {self.way_down!r}.")
+
+    @property
+    def landing_limit(self) -> float:
+        """The largest log (E/E_EB)² of a landing, E_EB being the operating field."""
+        return 2 * np.log(min(1.0, (1 - self.survival_margin) / (1 - self.operating_margin)))
+
+    @property
+    def landing_name(self) -> str:
+        """The margin that limits landings."""
+        return "survival_margin" if self.survival_margin >= self.operating_margin else "operating_margin"
+
+
+@dataclasses.dataclass(frozen=True)
+class Axis:
+    """A design parameter and its range; unit coordinates are even in the logarithm over wide ranges."""
+
+    name: str
+    low: float
+    high: float
+    logarithmic: bool
+
+    def value(self, z: float) -> tuple[float, float]:
+        """The parameter at z from 0 to 1, and its derivative."""
+        if z <= 0 or z >= 1:  # the ends exactly
+            x = self.low if z <= 0 else self.high
+        else:
+            x = self.low * (self.high / self.low) ** z if self.logarithmic else self.low + z * (self.high - self.low)
+        return x, x * np.log(self.high / self.low) if self.logarithmic else self.high - self.low
+
+
+def axis_of(name: str, limits, scene: Scene) -> Axis:
+    """The axis of a scene's parameter over a range; ValueError for what is none."""
+    low, high = check_range(name, limits, scene)
+    values = even(name, limits, 3)
+    return Axis(name, low, high, bool(abs(values[1] - (low + high) / 2) > 1e-9 * high))
+
+
+def scan_designs(scenes: list[Scenario], names: tuple, values: np.ndarray, wishes: Wishes, share: float = 0.0):
+    """Area strains of designs (n, parameters), NaN where one does not fulfil the wishes; the nominal designs too.
+
+    With several scenarios the strain is the worst, or with a `share` of them allowed to fail or fall short the quantile.
+    """
+    strains, every = [], []
+    for scenario in scenes:
+        given = dict(zip(names, (values * scenario.factors).T, strict=True))
+        found = classify_designs(scenario.scene, given, surface=scenario.sheet, whole=False)
+        every.append(found)
+        ramps = found.ramps
+        with np.errstate(invalid="ignore"):
+            landed = np.where(np.isnan(ramps.landing_ratio), -np.inf, ramps.landing_ratio).max(axis=-1)
+            good = (ramps.outcome == Outcome.breakdown_on_branch) & (landed <= np.exp(wishes.landing_limit / 2))
+        if wishes.must_snap or wishes.way_down:
+            good &= ramps.snaps > 0
+        if wishes.way_down:
+            good &= found.regime == int(Regime[wishes.way_down])
+        strains.append(np.where(good, ramps.area_strain, np.nan))
+    table = np.sort(np.nan_to_num(np.stack(strains), nan=-1.0), axis=0)
+    worst = table[int(np.floor(share * len(table)))]
+    return np.where(worst > -1, worst, np.nan), every[0]
+
+
+class Climb:
+    """The optimisation of one shape of ramp, over all scenarios, in unit coordinates of the ranges."""
+
+    def __init__(self, kind: Kind, scenes: list[Scenario], axes: list, wishes: Wishes, weights):
+        self.kind, self.scenes, self.axes, self.wishes = kind, scenes, axes, wishes
+        self.names = tuple(a.name for a in axes)
+        self.held = weights  # which scenarios must fulfil the constraints
+        self.known: list = []
+        self.evaluations = 0
+        self.feasible: tuple | None = None
+
+    def place(self, z):
+        """Parameters and their derivatives by the unit coordinates."""
+        pairs = [a.value(v) for a, v in zip(self.axes, z, strict=True)]
+        return np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs])
+
+    def seed(self, z, begin: list) -> bool:
+        """Begins at z from unknowns of every scenario; whether they are met."""
+        found = self._measured(z, begin)
+        if found is not None:
+            self.known.append((np.array(z), found))
+        return found is not None
+
+    def _measured(self, z, begin):
+        x = self.place(z)[0]
+        self.evaluations += 1
+        found = []
+        for scenario, guess in zip(self.scenes, begin, strict=True):
+            m = measure(self.kind, self.names, scenario.sheet, scenario.scene, x * scenario.factors, guess)
+            if not m.fair[0]:
+                return None
+            found.append(m)
+        return found
+
+    def at(self, z, halvings: int = 5):
+        """Measures at z, from the nearest design known, through designs on the way where Newton asks for it."""
+        z = np.array(z, float)
+        near = min(self.known, key=lambda k: np.abs(k[0] - z).max())
+        if np.array_equal(near[0], z):
+            return near[1]
+        found = self._measured(z, self._ahead(near, z))
+        if found is None and halvings:
+            if self.at((near[0] + z) / 2, 0 if halvings == 1 else halvings - 1) is None:
+                return None
+            near = min(self.known, key=lambda k: np.abs(k[0] - z).max())
+            found = self._measured(z, self._ahead(near, z))
+        if found is not None:
+            self.known.append((z, found))
+        return found
+
+    def _ahead(self, near: tuple, z) -> list[np.ndarray]:
+        """The unknowns at z along the tangents of a design that was met, or those there where that leads far."""
+        place, found = near
+        step = self.place(z)[0] - self.place(place)[0]
+        guesses = []
+        for m, scenario in zip(found, self.scenes, strict=True):
+            here, move = m.unknowns[0], m.rates[0] @ (step * scenario.factors)
+            guesses.append(here + move * bool((np.abs(move) < _FAR * np.abs(here)).all()))
+        return guesses
+
+    def unknowns(self, z) -> list[np.ndarray]:
+        """The unknowns of every scenario at a design that `at` has met."""
+        z = np.array(z, float)
+        found = next(found for place, found in self.known if np.array_equal(place, z))
+        return [m.unknowns[0] for m in found]
+
+    def rows(self, z):
+        """Growth (scenarios,) and its derivatives by z, and of every constraint: name, scenario, value ≥ 0, derivative."""
+        found = self.at(z)
+        if found is None:
+            return None
+        rate = self.place(z)[1]
+        growth, by_z, limits = [], [], []
+        wish = self.wishes
+        for j, (m, scenario) in enumerate(zip(found, self.scenes, strict=True)):
+            value = dict(zip(m.names, m.values[0], strict=True))
+            slope = dict(zip(m.names, m.slopes[0] * scenario.factors * rate, strict=True))
+            growth.append(value["growth"])
+            by_z.append(slope["growth"])
+            mine = [("start_stable", value["start"], slope["start"])]
+            for k in range(self.kind.snaps):
+                landing, fold, sharp = f"landing_{k}", f"fold_{k}", f"sharpness_{k}"
+                mine.append((wish.landing_name, wish.landing_limit - value[landing], -slope[landing]))
+                mine.append(("snap_before_breakdown", -value[fold], -slope[fold]))
+                mine.append(("snap_exists", value[sharp], slope[sharp]))
+            if self.kind.back:
+                sign = -100.0 if wish.way_down == "stays" else 100.0
+                mine.append((typing.cast(str, wish.way_down), sign * value["back"], sign * slope["back"]))
+            limits += [(name, j, v, s) for name, v, s in mine]
+        return np.array(growth), np.array(by_z), limits
+
+    def run(self, z) -> tuple | None:
+        """Climbs from z; the best design met that fulfils everything: z and objective."""
+        count, scenes = len(z), len(self.scenes)
+        rows = self.rows(z)
+        if rows is None:
+            return None
+        many = scenes > 1
+        held = np.flatnonzero(self.held)
+        start = np.append(z, rows[0][held].min()) if many else np.array(z, float)
+        width = sum(self.held[j] for _, j, _, _ in rows[2])
+
+        def objective(v):
+            if many:
+                return -v[-1], np.append(np.zeros(count), -1.0)
+            rows = self.rows(v)
+            return (_FAILED, np.zeros(count)) if rows is None else (-rows[0][0], -rows[1][0])
+
+        def constraints(v):
+            rows = self.rows(v[:count])
+            if rows is None:
+                size = width + len(held) * many
+                return np.full(size, -_FAILED), np.zeros((size, len(v)))
+            growth, by_z, limits = rows
+            own = [(value, slope) for _, j, value, slope in limits if self.held[j]]
+            g, dg = np.array([o[0] for o in own]), np.array([o[1] for o in own])
+            if many:
+                g = np.append(g, growth[held] - v[-1])
+                dg = np.concatenate([dg, by_z[held]])
+                dg = np.concatenate([dg, np.append(np.zeros(width), -np.ones(len(held)))[:, None]], axis=1)
+            if g.min() > -1e-9 or (many and g[:width].min() > -1e-9):
+                reached = growth[held].min()
+                if self.feasible is None or reached > self.feasible[1]:
+                    self.feasible = np.array(v[:count]), reached
+            return g, dg
+
+        bounds = [(0.0, 1.0)] * count + [(None, None)] * many
+        with np.errstate(all="ignore"):
+            scipy.optimize.minimize(
+                lambda v: objective(v)[0],
+                start,
+                jac=lambda v: objective(v)[1],
+                method="SLSQP",
+                bounds=bounds,
+                constraints={
+                    "type": "ineq",
+                    "fun": lambda v: constraints(v)[0],
+                    "jac": lambda v: constraints(v)[1],
+                },
+                options={"ftol": 1e-13, "maxiter": 80},
+            )
+        return None if self.feasible is None else self._polished(*self.feasible)
+
+    def _polished(self, z: np.ndarray, reached: float) -> tuple:
+        """The design moved onto the constraints that it all but meets, where Newton's method on them stays there."""
+        place = np.where(z < _AT_END, 0.0, np.where(z > 1 - _AT_END, 1.0, z))
+        for _ in range(3):
+            rows = self.rows(place)
+            if rows is None:
+                return z, reached
+            near = [(v, s) for _, j, v, s in rows[2] if self.held[j] and abs(v) < _CLOSE]
+            free = (place > 0) & (place < 1)
+            if not near:
+                break
+            if len(near) > free.sum():
+                return z, reached
+            slopes = np.array([s for _, s in near]) * free
+            move = np.linalg.lstsq(slopes, -np.array([v for v, _ in near]), rcond=None)[0]
+            place = np.clip(place + move, 0.0, 1.0)
+        rows = self.rows(place)
+        if rows is None or np.abs(place - z).max() > 1e-4:
+            return z, reached
+        least = min(v for _, j, v, _ in rows[2] if self.held[j])
+        return (place, float(rows[0][self.held].min())) if least > -1e-12 else (z, reached)
+
+
+def inwards(climb: Climb, z: np.ndarray) -> np.ndarray:
+    """A step that leaves every constraint that holds with equality, bounds too."""
+    rows = climb.rows(z)
+    active = [s / (np.linalg.norm(s) + 1e-300) for _, j, v, s in rows[2] if climb.held[j] and v < NEAR] if rows else []
+    normals = [*active, *(np.eye(len(z))[z <= 0]), *(-np.eye(len(z))[z >= 1])]
+    if not normals:
+        return np.zeros(len(z))
+    step = np.linalg.lstsq(np.array(normals), np.ones(len(normals)), rcond=None)[0]
+    return step / max(1.0, float(np.abs(step).max()))

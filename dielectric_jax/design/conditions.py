@@ -1,0 +1,256 @@
+"""Equations on the sheet of states, for many designs at once: folds, landings, breakdown, and Newton's method for them.
+
+With c(λa, q) = p(λa, q) − p_gas(V(λa, q)), the condition of a loading that fills the membrane to its start, folds have
+c = c′ = 0 and cusps c″ = 0 too, a dash being the derivative by λa at fixed q. Equations see the sheet as its Taylor polynomial
+of third order at each of their points, so that one compiled program reads the surface for all of them, and derivatives of
+equations up to that order are exact.
+"""
+
+import functools
+import typing
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..surface.family import SurfaceFamily
+from .far_states import FarStates
+from ..numerics.compiled import kept_jit
+from ..model.loading import Chamber, ConstantPressure
+from ..model.materials import largest_load
+from ..model.membrane import field_ratio_squared
+from ..surface.rows import rows_of
+from ..model.scene import Scene
+from ..surface.surface import ById, Surface
+
+__all__ = ["SheetConditions", "Solved", "solve_on_sheet"]
+
+_POINTS = (8, 32)  # of one call: few, and many
+_ITERATIONS = 14
+
+
+class SheetConditions:
+    """The condition of a scene's loading near the points of a design; point 0 is its start.
+
+    `towers` are the Taylor coefficients of (p, V) at every point, `places` the points themselves, (λa, q) or (λa, q, λ0).
+    """
+
+    def __init__(self, towers, places, scene: Scene, start):
+        self.towers, self.places, self.membrane = towers, places, scene.membrane
+        loading = scene.loading
+        p0, v0 = self.state(0, start, 0.0)
+        if isinstance(loading, ConstantPressure):
+            filled, self.contour = p0 - loading.pressure, loading.contour()
+        elif not isinstance(loading, Chamber):
+            raise ValueError(f"`loading` must be a Chamber or a ConstantPressure here, but is {loading!r}.")
+        elif loading.initial_volume is not None:
+            filled = v0 - loading.initial_volume
+            self.contour = loading.contour(p0, loading.initial_volume)
+        else:
+            filled = p0 - loading.initial_pressure
+            self.contour = loading.contour(loading.initial_pressure, v0)
+        #: zero where `start` is the state that the loading fills the membrane to
+        self.filled = filled
+
+    def state(self, k: int, apex, q):
+        """p and V near point k."""
+        at = [apex, q, self.membrane.prestretch][: self.places.shape[-1]]
+        x = jnp.stack([jnp.asarray(v, float) for v in at]) - self.places[k]
+        zeroth, first, second, third = (t[k] for t in self.towers)
+        value = zeroth + first @ x + (second @ x) @ x / 2 + ((third @ x) @ x) @ x / 6
+        return value[0], value[1]
+
+    def excess(self, k: int, apex, q):
+        """c."""
+        p, v = self.state(k, apex, q)
+        return self.contour.residual(p, v, q)
+
+    def slope(self, k: int, apex, q):
+        """c′."""
+        return jax.jvp(lambda a: self.excess(k, a, q), (apex,), (jnp.ones_like(apex),))[1]
+
+    def bend(self, k: int, apex, q):
+        """c″."""
+        return jax.jvp(lambda a: self.slope(k, a, q), (apex,), (jnp.ones_like(apex),))[1]
+
+    def field(self, apex, q):
+        """log (E/E_EB)² at the apex."""
+        return jnp.log(q * field_ratio_squared(self.membrane.breakdown, apex, apex))
+
+
+def _tower(function: Callable, x, order: int):
+    if order == 0:
+        return (function(x),)
+
+    def lower(x):
+        values = _tower(function, x, order - 1)
+        return values[-1], values
+
+    highest, values = jax.jacfwd(lower, has_aux=True)(x)
+    return (*values, highest)
+
+
+@kept_jit
+def _towers_on_surface(surface: Surface, places):
+    """(p, V) at places (n, 2) and their derivatives up to the third."""
+
+    def state(x):
+        t = x[1] / surface.membrane.largest_load(x[0])
+        return jnp.stack(surface.at_load_fraction(x[0], t, ("pressure", "volume")))
+
+    return jax.vmap(lambda x: _tower(state, x, 3))(places)
+
+
+@kept_jit
+def _towers_in_family(family: SurfaceFamily, places):
+    """The same at places (n, 3), by the prestretch too."""
+
+    def state(x):
+        t = x[1] / largest_load(family.material, x[0])
+        return jnp.stack(family.at_load_fraction(x[0], t, x[2], ("pressure", "volume")))
+
+    return jax.vmap(lambda x: _tower(state, x, 3))(places)
+
+
+def _towers(sheet: Surface | SurfaceFamily, places: np.ndarray) -> list[np.ndarray]:
+    flat = places.reshape(-1, places.shape[-1])
+    parts = []
+    size = _POINTS[len(flat) > _POINTS[0]]
+    for i in range(0, len(flat), size):
+        own = flat[i : i + size]
+        lanes = np.pad(own, ((0, size - len(own)), (0, 0)), mode="edge")
+        if isinstance(sheet, SurfaceFamily):
+            found = _towers_in_family(sheet, lanes)
+        else:
+            found = _towers_on_surface(rows_of(ById(sheet)).surface, lanes)
+        parts.append([np.asarray(v)[: len(own)] for v in found])
+    return [np.concatenate(v).reshape(*places.shape[:-1], *v[0].shape[1:]) for v in zip(*parts, strict=True)]
+
+
+@functools.cache
+def _program(equations: Callable, names: tuple, segment: bool) -> Callable:
+    """`_linearised` of some equations, as a program."""
+
+    def linearised(*args):
+        return _linearised(equations, names, segment, *args)
+
+    return kept_jit(linearised)
+
+
+def _linearised(equations, names, segment, scene, towers, places, begin, end, u):
+    """Equations and measures (n, …) of designs, and their derivatives by (u, θ)."""
+
+    def one(towers, places, begin, end, u):
+        def both(x):
+            u, values = x[: len(x) - len(begin)], x[len(x) - len(begin) :]
+            if segment:
+                values = values + u[-1] * (end - begin)
+            design = scene.replace(**dict(zip(names, values, strict=True)))
+            rows, measured = equations(SheetConditions(towers, places, design, u[0]), u)
+            value = jnp.concatenate([jnp.stack(rows), jnp.stack(measured) if measured else jnp.zeros(0)])
+            return value, value
+
+        jacobian, value = jax.jacfwd(both, has_aux=True)(jnp.concatenate([u, begin]))
+        return value, jacobian
+
+    return jax.vmap(one)(towers, places, begin, end, u)
+
+
+class Solved(typing.NamedTuple):
+    """Unknowns (n, k), measures (n, m), the derivatives of both by θ (n, …, parameters), and the size of Newton's last move."""
+
+    unknowns: np.ndarray
+    measures: np.ndarray
+    rates: np.ndarray
+    slopes: np.ndarray
+    size: np.ndarray
+
+
+def solve_on_sheet(
+    equations: Callable,
+    points: tuple,
+    sheet: Surface | SurfaceFamily,
+    scene: Scene,
+    names: tuple,
+    guess: np.ndarray,
+    begin: np.ndarray,
+    end: np.ndarray | None = None,
+    *,
+    lanes: int = 1,
+    last_move: float = 1e-8,
+    far: FarStates | None = None,
+) -> Solved:
+    """Solves `equations(conditions, u) = rows, measures` for designs θ (n, parameters) by Newton's method.
+
+    `points` says where they read the sheet: pairs (unknown that is λa, unknown that is q or −1 for q = 0). With `end` the
+    last unknown s is the place between two designs, θ = begin + s (end − begin). Whole blocks of `lanes` designs share one
+    compiled program. `far` reads the last of the points where it is given, to first order: equations may take its state,
+    no slopes. Newton ends with moves below `last_move`, what is left being their square. NaN where it leaves the sheet.
+    """
+    segment = end is not None
+    u, count = np.array(guess, float), len(guess)
+    scale = np.maximum(np.abs(u), 1e-3)
+    if segment:
+        scale[:, -1] = 1.0
+    size = np.full(count, np.inf)
+    value = jacobian = np.empty(0)
+    unknowns = u.shape[1]
+    for _ in range(_ITERATIONS):
+        value, jacobian = _evaluated(equations, points, sheet, scene, names, u, begin, end, lanes, far)
+        matrix = jacobian[:, :unknowns, :unknowns] * scale[:, None, :]
+        move, good = _solved(matrix, -value[:, :unknowns, None])
+        move = np.where(good[:, None], move[..., 0], np.nan)
+        with np.errstate(invalid="ignore"):
+            size = np.abs(move).max(axis=1)
+            move *= np.minimum(1.0, 0.3 / np.maximum(size, 1e-300))[:, None]
+        u = u + move * scale
+        if not np.any(size > last_move):
+            break
+    value, jacobian = _evaluated(equations, points, sheet, scene, names, u, begin, end, lanes, far)
+    by_u, by_theta = jacobian[..., :unknowns], jacobian[..., unknowns:]
+    rate, good = _solved(by_u[:, :unknowns] * scale[:, None, :], -by_theta[:, :unknowns])
+    rates = rate * scale[:, :, None]
+    slopes = by_theta[:, unknowns:] + by_u[:, unknowns:] @ rates
+    return Solved(u, value[:, unknowns:], rates, slopes, np.where(good, size, np.nan))
+
+
+def _solved(matrix, right) -> tuple[np.ndarray, np.ndarray]:
+    """x with matrix x = right, rows scaled, and which systems have one."""
+    with np.errstate(all="ignore"):
+        size = np.abs(matrix).max(axis=2, keepdims=True)
+        matrix, right = matrix / size, right / size
+        good = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=(1, 2))
+        good &= np.abs(np.linalg.det(np.where(good[:, None, None], matrix, np.eye(matrix.shape[1])))) > 1e-14
+    matrix = np.where(good[:, None, None], matrix, np.eye(matrix.shape[1]))
+    return np.linalg.solve(matrix, np.where(good[:, None, None], right, 0.0)), good
+
+
+def _evaluated(equations, points, sheet, scene, names, u, begin, end, lanes, far):
+    theta = begin if end is None else begin + u[:, -1:] * (end - begin)
+    apex = np.stack([u[:, a] for a, _ in points], axis=1)
+    load = np.stack([u[:, q] if q >= 0 else np.zeros(len(u)) for _, q in points], axis=1)
+    columns = [apex, load]
+    if isinstance(sheet, SurfaceFamily):
+        rim = (
+            theta[:, names.index("prestretch")]
+            if "prestretch" in names
+            else np.full(len(u), float(scene.membrane.prestretch))
+        )
+        columns.append(np.broadcast_to(rim[:, None], apex.shape))
+    places = np.stack(columns, axis=-1)
+    near = places if far is None else places[:, :-1]
+    towers = _towers(sheet, near)
+    if far is not None:
+        value, slopes = far.linear(places[:, -1, :2])
+        rest = [np.pad(slopes, ((0, 0), (0, 0), (0, places.shape[-1] - 2)))]
+        rest += [np.zeros((len(u), *t.shape[2:])) for t in towers[2:]]
+        towers = [np.concatenate([t, v[:, None]], axis=1) for t, v in zip(towers, [value, *rest], strict=True)]
+    end = begin if end is None else end
+    parts = []
+    for i in range(0, len(u), lanes):
+        own = np.minimum(np.arange(i, i + lanes), len(u) - 1)
+        args = [t[own] for t in towers], places[own], begin[own], end[own], u[own]
+        found = _program(equations, names, end is not begin)(scene, *args)
+        parts.append([np.asarray(v)[: len(u) - i] for v in found])
+    return [np.concatenate(v) for v in zip(*parts, strict=True)]

@@ -1,0 +1,185 @@
+"""Many designs at once: their ramps on the surfaces of their membranes, and the regime of each.
+
+The surface gives the ramps of most designs. Those that it does not decide go through continuation side by side, and what
+that leaves open through whole diagrams.
+"""
+
+import contextlib
+import dataclasses
+import functools
+import itertools
+import typing
+
+import jax
+import numpy as np
+
+from ..diagram.batch import ByLeaves, continue_scenes
+from ..diagram.chambers import Ramps, chamber_ramps, pressure_ramps
+from ..surface.family import SurfaceFamily
+from ..model.loading import Chamber, ConstantPressure
+from ..model.materials import field_on
+from ..model.membrane import Membrane
+from ..model.outcomes import Regime
+from ..diagram.regimes import regime_of
+from ..numerics.codes import SceneError
+from ..model.scene import Scene
+from ..critical.searches import loading_columns
+from ..surface.surface import ById, Surface
+
+__all__ = [
+    "MATERIAL_CONSTANTS",
+    "Designs",
+    "by_continuation",
+    "by_diagrams",
+    "classify_designs",
+    "designs_on_surfaces",
+    "sheet_over",
+    "surface_for",
+]
+
+MATERIAL_CONSTANTS = ("stretch_limit", "chain_links")
+_TYPICAL = 5.0  # a stretch at which breakdown laws are compared
+
+
+class Designs(typing.NamedTuple):
+    """Many designs: their scenes as one whose leaves are columns, their regimes, and the ramps of those on a surface.
+
+    `ramps` are in the order of the designs; `sheet` numbers the membrane of each.
+    """
+
+    scenes: Scene
+    regime: np.ndarray
+    ramps: Ramps
+    sheet: np.ndarray
+
+
+def designs_of(scene: Scene, parameters: dict) -> Scene:
+    """One scene whose leaves are columns: `scene` with the named parameters at the values of arrays (n,).
+
+    Raises ValueError for names or values that the scene does not take.
+    """
+    names = tuple(parameters)
+    values = [np.asarray(parameters[n], float) for n in names]
+    ends = {f(v) for v in np.stack(values, axis=1).tolist() for f in (tuple,)} if len(values[0]) <= 4 else set()
+    for own in ends or {tuple(v.min() for v in values), tuple(v.max() for v in values)}:
+        scene.replace(**dict(zip(names, own, strict=True)))
+    replace = jax.vmap(lambda *own: scene.replace(**dict(zip(names, own, strict=True))))
+    columns = replace(*values)
+    return jax.tree.map(lambda v: np.broadcast_to(np.asarray(v, float), values[0].shape), columns)
+
+
+def _row(columns, which):
+    return jax.tree.map(lambda v: v[which], columns)
+
+
+def sheet_over(scene: Scene, over: dict, given: typing.Any) -> Surface | SurfaceFamily | None:
+    """One surface, or family, for all designs over ranges of parameters, where one serves; else None."""
+    if given is not None or any(n in over for n in MATERIAL_CONSTANTS):
+        return given
+    if "prestretch" in over:
+        low, high = over["prestretch"]
+        law = scene.membrane.breakdown
+        return SurfaceFamily.build(scene.membrane.material, prestretch=(low, high), breakdown=law)
+    # the law decides how far the surface goes: the strongest of the corners'
+    corners = [dict(zip(over, values, strict=True)) for values in itertools.product(*over.values())]
+    films = [scene.replace(**corner).membrane for corner in corners]
+    return _built(ByLeaves.of(max(films, key=lambda film: float(field_on(film.breakdown, _TYPICAL)))))
+
+
+def surface_for(membrane: Membrane, given: typing.Any) -> Surface:
+    """The surface of a membrane: the one given, a family's section, or one that is built; with the membrane's own law."""
+    if isinstance(given, SurfaceFamily):
+        key = ByLeaves.of(Membrane(given.material, float(membrane.prestretch), given.breakdown))
+        found = _section(ById(given), key)
+    elif given is None:
+        found = _built(ByLeaves.of(membrane))
+    else:
+        found = given
+        mine, other = (jax.tree.leaves((m.material, m.prestretch)) for m in (membrane, found.membrane))
+        if not (len(mine) == len(other) and all(np.array_equal(a, b) for a, b in zip(mine, other, strict=True))):
+            raise ValueError(
+                "`surface` must be that of the scenes' membrane, but is another's; leave it out, or give a SurfaceFamily."
+            )
+    if found.belongs_to(membrane):
+        return found
+    return _with_law(ById(found), ByLeaves.of(membrane))
+
+
+@functools.lru_cache(maxsize=64)  # 2 MB each
+def _section(family: ById, key: ByLeaves) -> Surface:
+    return family.value.surface(float(key.membrane.prestretch))
+
+
+@functools.lru_cache(maxsize=32)
+def _built(key: ByLeaves) -> Surface:
+    return Surface.build(key.membrane)
+
+
+@functools.lru_cache(maxsize=64)
+def _with_law(surface: ById, key: ByLeaves) -> Surface:
+    """The same sheet under another breakdown law."""
+    return dataclasses.replace(surface.value, membrane=key.membrane)
+
+
+def classify_designs(
+    scene: Scene, parameters: dict, *, surface: Surface | SurfaceFamily | None = None, whole: bool = True
+) -> Designs:
+    """The regimes of many designs: `scene` with the named parameters at the values of arrays of one shape (n,).
+
+    With `whole=False` what the surface does not decide stays `not_decided`. A `surface` of the membrane (or a family, where
+    the prestretch varies) is built where none is given. Raises ValueError for parameters the scene does not take.
+
+    >>> from dielectric_jax import Membrane, Regime
+    >>> scene = Scene(Membrane(), Chamber(volume=1600.0, initial_volume=2.42))
+    >>> found = classify_designs(scene, {"chamber_volume": [460.0, 475.0, 500.0, 800.0, 1600.0]})
+    >>> [Regime(int(r)).name for r in found.regime]
+    ['breaks_in_snap', 'returns', 'no_snap', 'returns', 'stays']
+    """
+    found = designs_on_surfaces(scene, parameters, surface=surface)
+    if whole:
+        by_continuation(found)
+        by_diagrams(found)
+    return found
+
+
+def designs_on_surfaces(scene: Scene, parameters: dict, *, surface: Surface | SurfaceFamily | None) -> Designs:
+    """Designs as far as the surfaces of their membranes decide them."""
+    if not isinstance(scene.loading, (Chamber, ConstantPressure)):
+        raise ValueError(f"`loading` must be a Chamber or a ConstantPressure here, but is {scene.loading!r}.")
+    columns = designs_of(scene, parameters)
+    count = len(columns.membrane.prestretch)
+    keys: dict = {}
+    leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(columns.membrane)]
+    for i in range(count):
+        keys.setdefault(tuple(leaf[i] for leaf in leaves), []).append(i)
+    parts, order, sheet = [], [], np.zeros(count, int)
+    for number, own in enumerate(keys.values()):
+        own = np.array(own)
+        sheet[own] = number
+        membrane = jax.tree.map(lambda v, i=own[0]: np.float64(v[i]), columns.membrane)
+        sheet_of = surface_for(membrane, surface)
+        given = loading_columns(_row(columns.loading, own), sheet_of)
+        parts.append(pressure_ramps(sheet_of, **given) if "pressure" in given else chamber_ramps(sheet_of, **given))
+        order.append(own)
+    back = np.argsort(np.concatenate(order))
+    ramps: Ramps = jax.tree.map(lambda *v: np.concatenate(v)[back], *parts)
+    return Designs(columns, ramps.regime.astype(int), ramps, sheet)
+
+
+def _left(found: Designs) -> np.ndarray:
+    return np.flatnonzero(found.regime == Regime.not_decided)
+
+
+def by_continuation(found: Designs) -> None:
+    """Settles in place the regimes of designs that no surface decides, by continuation side by side."""
+    left = _left(found)
+    if len(left):
+        batch = continue_scenes([jax.tree.map(lambda v, i=i: np.float64(v[i]), found.scenes) for i in left])
+        found.regime[left] = batch.ramps.regime
+
+
+def by_diagrams(found: Designs) -> None:
+    """Settles in place the regimes that continuation leaves open, by whole diagrams one after the other."""
+    for i in _left(found):
+        with contextlib.suppress(SceneError):
+            found.regime[i] = int(regime_of(jax.tree.map(lambda v, i=i: np.float64(v[i]), found.scenes)))

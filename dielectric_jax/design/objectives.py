@@ -1,0 +1,115 @@
+"""Designs for any objective: a function of a scene that JAX differentiates, made of the critical points or anything else."""
+
+import typing
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.optimize
+
+from .climbing import axis_of
+from .regime_maps import even
+from ..model.scene import Scene
+
+__all__ = ["Optimum", "maximise"]
+
+_STARTS = 4
+_SCAN = {1: 64, 2: 12, 3: 6}
+_FAILED = 1e3  # times the size of the best objective
+
+
+class Optimum(typing.NamedTuple):
+    """Parameters, the objective there, the names of constraints and bounds that hold with equality, and the scene."""
+
+    parameters: dict[str, float]
+    value: float
+    active: tuple[str, ...]
+    scene: Scene
+
+
+def maximise(
+    objective: Callable, scene: Scene, over: dict, *, constraints: dict[str, Callable] | None = None
+) -> Optimum:
+    """The design that maximises `objective(scene)`, a number, where every function of `constraints` is at least zero.
+
+    The functions are differentiated by JAX; NaN means that there is no such point, and the design is left. A scan of some
+    dozen designs begins it, SciPy's SLSQP climbs from the best four. Raises ValueError where no design of the scan has an
+    objective. For the area strain `maximise_area_strain` is quicker and knows the edges of regimes.
+
+    >>> from dielectric_jax import Chamber, Membrane
+    >>> scene = Scene(Membrane(), Chamber(volume=1600.0, initial_volume=2.42))
+    >>> found = maximise(lambda s: -((s.loading.volume - 700.0) ** 2), scene, {"chamber_volume": (500.0, 1000.0)})
+    >>> round(found.parameters["chamber_volume"], 3), found.active
+    (700.0, ())
+    """
+    if not over:
+        raise ValueError("`over` must name at least one parameter, but is empty.")
+    axes = [axis_of(name, limits, scene) for name, limits in over.items()]
+    names, limits = tuple(over), list((constraints or {}).items())
+    low, high = (np.array([getattr(a, side) for a in axes]) for side in ("low", "high"))
+
+    def all_of(x):
+        own = scene.replace(**dict(zip(names, x, strict=True)))
+        return jnp.stack([jnp.asarray(f(own), float) for f in (objective, *(f for _, f in limits))])
+
+    both = jax.jit(lambda x: (all_of(x), jax.jacrev(all_of)(x)))
+    count = _SCAN.get(len(axes), 4)
+    ticks = [even(a.name, (a.low, a.high), count) for a in axes]
+    grid = np.stack([g.ravel() for g in np.meshgrid(*ticks, indexing="ij")], axis=1)
+    values = np.asarray(jax.vmap(all_of)(grid))
+    known: np.ndarray = np.all(np.isfinite(values), axis=1)
+    if not known.any():
+        raise ValueError(
+            "`objective` must be a number somewhere in these ranges, but is NaN at every design of the scan."
+        )
+    size = _FAILED * np.abs(values[known, 0]).max() + 1.0
+    # what fails a constraint comes after all that fulfils it
+    order = np.lexsort((-values[:, 0], -np.minimum(values[:, 1:].min(axis=1, initial=0.0), 0.0)))
+    best: tuple | None = None
+    for start in grid[[k for k in order if known[k]][:_STARTS]]:
+        seen: dict = {}
+
+        def at(z, seen=seen):
+            key = z.tobytes()
+            if key not in seen:
+                value, slope = (np.asarray(v) for v in both(low + z * (high - low)))
+                good = np.isfinite(value).all() and np.isfinite(slope).all()
+                seen[key] = (value, slope * (high - low)) if good else None
+            return seen[key]
+
+        def value_of(z, rows, at=at):
+            found = at(z)
+            return np.full(len(limits) + 1, -size)[rows] if found is None else found[0][rows]
+
+        def slope_of(z, rows, at=at):
+            found = at(z)
+            return np.zeros((len(limits) + 1, len(z)))[rows] if found is None else found[1][rows]
+
+        own = {
+            "type": "ineq",
+            "fun": lambda z: value_of(z, slice(1, None)),
+            "jac": lambda z: slope_of(z, slice(1, None)),
+        }
+        scipy.optimize.minimize(
+            lambda z: -value_of(z, 0),
+            (start - low) / (high - low),
+            jac=lambda z: -slope_of(z, 0),
+            method="SLSQP",
+            bounds=[(0.0, 1.0)] * len(axes),
+            constraints=[own] if limits else [],
+            options={"ftol": 1e-13 * size / _FAILED, "maxiter": 80},
+        )
+        for key, found in seen.items():
+            if found is None or found[0][1:].min(initial=0.0) <= -1e-9:
+                continue
+            if best is None or found[0][0] > best[1][0]:
+                best = np.frombuffer(key), found[0]
+    if best is None:
+        raise ValueError("`constraints` must be fulfilled by some design in these ranges, but none was found.")
+    z, value = best
+    active = [name for (name, _), v in zip(limits, value[1:], strict=True) if abs(v) < 1e-6]
+    active += [f"{a.name}_lower" for a, v in zip(axes, z, strict=True) if v < 1e-9]
+    active += [f"{a.name}_upper" for a, v in zip(axes, z, strict=True) if v > 1 - 1e-9]
+    parameters = dict(zip(names, (low + z * (high - low)).tolist(), strict=True))
+    return Optimum(parameters, float(value[0]), tuple(active), scene.replace(**parameters))

@@ -1,0 +1,411 @@
+"""Maps of two parameters: which regime each design is in, and the exact curves between them.
+
+Regimes are found on a coarse grid that is refined beside every change; each edge of the fine grid between two regimes is
+then met by the equations of `boundaries`, or by bisection where none are known.
+"""
+
+import dataclasses
+import typing
+
+import jax
+import numpy as np
+import scipy.ndimage
+
+from .boundaries import LANDING_LEAVES, completed, guesses, has_event, kind_between, meet, with_landing
+from .designs import (
+    MATERIAL_CONSTANTS,
+    Designs,
+    by_continuation,
+    by_diagrams,
+    designs_on_surfaces,
+    sheet_over,
+    surface_for,
+)
+from ..diagram.chambers import Ramps
+from ..surface.family import SurfaceFamily
+from .grid_lines import beside_change, chains, changes
+from ..model.outcomes import Outcome, Regime
+from ..model.records import plain
+from ..numerics.codes import LARGEST, check_whole, shown
+from ..model.scene import Scene, describe
+from ..surface.surface import Surface
+
+__all__ = ["Boundary", "RegimeEdge", "RegimeMap", "regime_edges", "regime_map"]
+
+_COARSE = 8  # grid cells between designs that are classified first
+_BISECTIONS = 20
+_ISLAND = 6  # designs
+_VAGUE = 3.0  # cells
+_DECADES = 1.2  # a range wider than this many decades is divided evenly in the logarithm
+#: parameters with another sheet of states at every value
+_MOST_POINTS = 10_000  # along a parameter
+_SHEETS = ("prestretch", *MATERIAL_CONSTANTS)
+#: … or another breakdown law
+_LAWS = ("breakdown_field_scale", "shear_modulus", "permittivity")
+_POINTS, _SHEET_POINTS = 400, 25
+
+
+class RegimeEdge(typing.NamedTuple):
+    """Where a regime ends as one parameter rises: its value, the regimes below and above, what happens there, the error.
+
+    `error` is relative; `kind` is "" where the place was found by bisection.
+    """
+
+    value: float
+    below: Regime
+    above: Regime
+    kind: str
+    error: float
+
+
+class Boundary(typing.NamedTuple):
+    """A curve between two regimes: points (n, 2) in the two parameters, in order, and the relative error of each.
+
+    Every point but those where three regimes meet lies on a line of the grid, met by the equations that `kind` names; it is
+    "" where they were found by bisection.
+    """
+
+    regimes: tuple[Regime, Regime]
+    kind: str
+    points: np.ndarray
+    error: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True)
+class RegimeMap:
+    """Regimes (n_y, n_x) of designs over two parameters, `values` along each, and the curves between them.
+
+    `classified` says how many designs were computed; the others lie inside cells whose corners and neighbours agree.
+    """
+
+    scene: Scene
+    names: tuple[str, str]
+    values: tuple[np.ndarray, np.ndarray]
+    regimes: np.ndarray
+    boundaries: list[Boundary]
+    classified: int
+
+    def at(self, x: float, y: float) -> Regime:
+        """The regime of the nearest design of the grid."""
+        j, i = (int(np.argmin(np.abs(v - w))) for v, w in zip(self.values, (x, y), strict=True))
+        return Regime(int(self.regimes[i, j]))
+
+    def plot(self, *, ax=None, **options):
+        """The map as a figure, see `regime_plots.plot_regime_map`."""
+        from ..plot.maps import plot_regime_map
+
+        return plot_regime_map(self, ax=ax, **options)
+
+    def to_json(self) -> dict:
+        """The JSON document of `dielectric-jax regimes`."""
+        curves = [
+            {"regimes": [r.name for r in b.regimes], "kind": b.kind, "error_estimate": b.error}
+            | dict(zip(self.names, b.points.T, strict=True))
+            for b in self.boundaries
+        ]
+        return plain(
+            {
+                "scene": describe(self.scene),
+                "units": "dimensionless",
+                "over": list(self.names),
+                "values": dict(zip(self.names, self.values, strict=True)),
+                "names": {int(r): r.name for r in Regime},
+                "regimes": self.regimes,
+                "boundaries": curves,
+                "classified": self.classified,
+            }
+        )
+
+
+def even(name: str, limits, count: int) -> np.ndarray:
+    """Values of a parameter from its lower to its upper limit; even in the logarithm over wide ranges."""
+    low, high = check_range(name, limits)
+    if low > 0 and np.log10(high / low) > _DECADES:
+        values = np.geomspace(low, high, count)
+    else:
+        values = np.linspace(low, high, count)
+    values[0], values[-1] = low, high
+    return values
+
+
+def check_range(name: str, limits, scene: Scene | None = None) -> tuple[float, float]:
+    """A pair (low, high) of a parameter, which the `scene` has."""
+    if scene is not None:
+        scene.path_of(name)
+    try:
+        low, high = (float(v) for v in limits)
+    except (TypeError, ValueError, OverflowError):
+        low = high = np.nan
+    if not (abs(low) <= LARGEST and abs(high) <= LARGEST and low < high):
+        raise ValueError(
+            f"`{name}` must range over two finite numbers (low, high) with low < high, but is {shown(limits)}."
+        )
+    return low, high
+
+
+class _Known:
+    """The designs classified so far, by what they are: regimes and ramps."""
+
+    def __init__(self, scene: Scene, over: dict, surface, *, diagrams: bool = False):
+        ranges = {name: check_range(name, limits, scene) for name, limits in over.items()}
+        self.scene, self.names = scene, tuple(over)
+        self.surface = sheet_over(scene, ranges, surface)
+        self.parts: list[Designs] = []
+        self.values = np.empty((0, len(over)))
+        self.regime = np.empty(0, int)
+        self.diagrams = diagrams  # whether whole diagrams decide what is left
+
+    def add(self, values: np.ndarray) -> np.ndarray:
+        """Classifies designs (n, parameters); their numbers."""
+        parameters = dict(zip(self.names, values.T, strict=True))
+        found = designs_on_surfaces(self.scene, parameters, surface=self.surface)
+        by_continuation(found)
+        if self.diagrams:
+            by_diagrams(found)
+        self.parts.append(found)
+        first = len(self.regime)
+        self.values = np.concatenate([self.values, values])
+        self.regime = np.concatenate([self.regime, found.regime])
+        return np.arange(first, len(self.regime))
+
+    def designs(self) -> Designs:
+        """All of them together."""
+        ramps: Ramps = jax.tree.map(lambda *v: np.concatenate(v), *[d.ramps for d in self.parts])
+        return Designs(self.scene, self.regime, ramps, np.zeros(len(self.regime), int))
+
+
+def _edges(known: _Known, one: np.ndarray, other: np.ndarray):
+    """Where between pairs of designs (their numbers) the regime changes: values (n, parameters), kinds, errors."""
+    begin, end = known.values[one], known.values[other]
+    share, error = np.full(len(one), np.nan), np.full(len(one), np.nan)
+    kinds = np.array(
+        [kind_between(a, b) or "" for a, b in zip(known.regime[one], known.regime[other], strict=True)], object
+    )
+    varying = [n in _SHEETS for n in known.names]
+    same_sheet = ~np.any((begin != end)[:, varying], axis=1) if any(varying) else np.ones(len(one), bool)
+    designs = known.designs()
+    for kind in sorted(set(kinds[same_sheet]) - {""}):
+        own = np.flatnonzero((kinds == kind) & same_sheet)
+        has = has_event(kind, known.regime)  # begin from there
+        source = np.where(has[other[own]], other[own], one[own])
+        guess = completed(guesses(kind, designs, source), known.values[source])
+        far = kind == LANDING_LEAVES  # located by shots
+        # a side that the surface did not decide may be off by a little
+        vague = designs.ramps.outcome == Outcome.unresolved
+        beyond = np.where(vague[one[own]] | vague[other[own]] | far, _VAGUE, 0.0)
+        keys = [tuple(begin[k, varying]) for k in own]
+        for key in dict.fromkeys(keys):
+            group = np.array([i for i, k in enumerate(keys) if k == key])
+            some = own[group]
+            at = dict(zip(known.names, begin[some[0]], strict=True))
+            surface = surface_for(known.scene.replace(**at).membrane, known.surface)
+            began = guess[group]
+            if far:
+                began = with_landing(surface, known.scene, known.names, known.values[source[group]], began)
+            share[some], error[some] = meet(
+                kind, surface, known.scene, known.names, begin[some], end[some], began, beyond[group]
+            )
+    kinds[np.isnan(share)] = ""
+    _bisect(known, one, other, share, error)
+    values = begin + share[:, None] * (end - begin)
+    size = np.max(np.abs(end - begin) / np.maximum(np.abs(begin), 1e-300), axis=1)
+    return values, kinds, error * size
+
+
+def _bisect(known: _Known, one, other, share, error) -> None:
+    """Fills the places that no equations gave, by the regimes of the designs halfway."""
+    todo = np.flatnonzero(np.isnan(share))
+    low, high = np.zeros(len(todo)), np.ones(len(todo))
+    if not len(todo):
+        return
+    below = known.regime[one[todo]]
+    begin, end = known.values[one[todo]], known.values[other[todo]]
+    steps = _BISECTIONS if len(todo) <= 64 else 7
+    for _ in range(steps):
+        middle = (low + high) / 2
+        values = begin + middle[:, None] * (end - begin)
+        parameters = dict(zip(known.names, values.T, strict=True))
+        found = designs_on_surfaces(known.scene, parameters, surface=known.surface)
+        by_continuation(found)
+        same = found.regime == below
+        low, high = np.where(same, middle, low), np.where(same, high, middle)
+    share[todo], error[todo] = (low + high) / 2, (high - low) / 2
+
+
+def regime_edges(
+    scene: Scene,
+    over: dict,
+    *,
+    points: int = 400,
+    surface: Surface | SurfaceFamily | None = None,
+) -> list[RegimeEdge]:
+    """Every value of one parameter at which the regime changes, in order.
+
+    Args:
+        scene: a chamber or a constant pressure.
+        over: the parameter and its range, `{"chamber_volume": (200.0, 25000.0)}`.
+        points: designs that are classified; a regime narrower than their distance may be missed.
+        surface: of the scene's membrane; built where it is left out.
+
+    Raises:
+        ValueError: for a parameter or range that the scene does not take.
+
+    >>> from dielectric_jax import Chamber, Membrane
+    >>> scene = Scene(Membrane(), Chamber(volume=1600.0, initial_volume=2.42))
+    >>> edges = regime_edges(scene, {"chamber_volume": (400.0, 2000.0)})
+    >>> [(round(e.value, 5), e.above.name) for e in edges]
+    [(467.85018, 'returns'), (484.04966, 'no_snap'), (551.39914, 'returns'), (1455.89626, 'stays')]
+    """
+    if len(over) != 1:
+        raise ValueError(f"`over` must name one parameter, but names {len(over)}.")
+    known, names = _Known(scene, over, surface, diagrams=True), tuple(over)
+    number = known.add(even(names[0], over[names[0]], points)[:, None])
+    change = np.flatnonzero(np.diff(known.regime[number]))
+    if not len(change):
+        return []
+    values, kinds, error = _edges(known, number[change], number[change + 1])
+    sides = known.regime[number[change]], known.regime[number[change + 1]]
+    return [
+        RegimeEdge(float(v[0]), Regime(int(a)), Regime(int(b)), str(k), float(e))
+        for v, a, b, k, e in zip(values, *sides, kinds, error, strict=True)
+    ]
+
+
+def regime_map(
+    scene: Scene,
+    over: dict,
+    *,
+    points: int | tuple[int, int] | None = None,
+    surface: Surface | SurfaceFamily | None = None,
+) -> RegimeMap:
+    """The regimes of designs over two parameters, and the exact curves between them.
+
+    Args:
+        scene: a chamber or a constant pressure.
+        over: the two parameters and their ranges, `{"chamber_volume": (200.0, 25000.0), "initial_volume": (2.0, 2.9)}`.
+        points: designs along each, by default 400; 25 along a parameter that changes the sheet of states (prestretch and the
+            constants of the material) or the breakdown law, because each value needs a surface of its own.
+        surface: of the scene's membrane, or a family where the prestretch varies; built where it is left out.
+
+    Raises:
+        ValueError: for parameters or ranges that the scene does not take.
+    """
+    names = typing.cast("tuple[str, str]", tuple(over))
+    if len(names) != 2:
+        raise ValueError(f"`over` must name two parameters, but names {len(names)}.")
+    counts = _counts(names, points)
+    x, y = (even(n, over[n], count) for n, count in zip(names, counts, strict=True))
+    known = _Known(scene, over, surface)
+    number = np.full((len(y), len(x)), -1)
+
+    def classify(rows, columns):
+        new = np.unique(np.stack([rows, columns], axis=1), axis=0)
+        new = new[number[new[:, 0], new[:, 1]] < 0]
+        if len(new):
+            number[new[:, 0], new[:, 1]] = known.add(np.stack([x[new[:, 1]], y[new[:, 0]]], axis=1))
+
+    def ticks(name, count, stride):
+        return np.unique([*range(0, count, 1 if name in (*_SHEETS, *_LAWS) else stride), count - 1])
+
+    stride = _COARSE
+    rows, columns = (ticks(n, c, stride) for n, c in zip(names[::-1], (len(y), len(x)), strict=True))
+    classify(*(v.ravel() for v in np.meshgrid(rows, columns, indexing="ij")))
+    whole = _filled(known, number, rows, columns)
+    while stride > 1:
+        stride //= 2
+        rows, columns = (ticks(n, c, stride) for n, c in zip(names[::-1], (len(y), len(x)), strict=True))
+        for _ in range(12):  # on into cells that turn out to hold a change
+            near = beside_change(whole, stride)[np.ix_(rows, columns)]
+            near &= number[np.ix_(rows, columns)] < 0
+            if not near.any():
+                break
+            at = np.nonzero(near)
+            classify(rows[at[0]], columns[at[1]])
+            known_here = number >= 0
+            whole[known_here] = known.regime[number[known_here]]
+    # both ends of every edge of the fine grid
+    for _ in range(2):
+        a, b = changes(whole)
+        classify(*np.concatenate([a, b]).T)
+        known_here = number >= 0
+        whole[known_here] = known.regime[number[known_here]]
+        _join_islands(known, number, whole)
+    a, b = changes(whole)
+    classify(*np.concatenate([a, b]).T)
+    count = len(known.regime)
+    one, other = number[tuple(a.T)], number[tuple(b.T)]
+    boundaries = _curves(known, a, b, one, other) if len(a) else []
+    return RegimeMap(scene, names, (x, y), whole, boundaries, count)
+
+
+def _join_islands(known: _Known, number, whole) -> None:
+    """Gives lone designs that no engine decides, in the sliver where two folds merge, the regime about them."""
+    unsure = np.zeros(whole.shape, bool)
+    there = number >= 0
+    unsure[there] = known.regime[number[there]] == Regime.not_decided
+    for regime in np.unique(whole[unsure]):
+        labels, _ = typing.cast("tuple[np.ndarray, int]", scipy.ndimage.label(whole == regime))
+        sizes = np.bincount(labels.ravel())
+        for part in np.unique(labels[unsure & (whole == regime)]):
+            own = labels == part
+            if sizes[part] <= _ISLAND and unsure[own].all():
+                about = whole[scipy.ndimage.binary_dilation(own) & ~own]
+                whole[own] = np.bincount(about).argmax()
+                known.regime[number[own]] = whole[own]
+
+
+def _counts(names, points) -> tuple[int, int]:
+    if points is None:
+        first, second = (_SHEET_POINTS if n in (*_SHEETS, *_LAWS) else _POINTS for n in names)
+        return first, second
+    counts = tuple(points) if isinstance(points, (tuple, list)) else (points, points)
+    if len(counts) != 2:
+        raise ValueError(f"`points` must be a whole number, or two of them, but is {shown(points)}.")
+    for count in counts:
+        check_whole("points", count, 3, _MOST_POINTS)
+    return int(counts[0]), int(counts[1])
+
+
+def _filled(known: _Known, number, rows, columns) -> np.ndarray:
+    """Every design with the regime of the nearest on a coarse grid."""
+    nearest = [
+        ticks[np.argmin(np.abs(np.arange(n)[:, None] - ticks[None]), axis=1)]
+        for n, ticks in zip(number.shape, (rows, columns), strict=True)
+    ]
+    return known.regime[number[np.ix_(*nearest)]]
+
+
+def _curves(known: _Known, a, b, one, other) -> list[Boundary]:
+    """The edges between two regimes, joined cell by cell into curves."""
+    values, kinds, error = _edges(known, one, other)
+    across = a[:, 0] == b[:, 0]
+    cells: dict = {}
+    for k, (row, column) in enumerate(a):
+        beside = [(row - 1, column), (row, column)] if across[k] else [(row, column - 1), (row, column)]
+        for cell in beside:
+            cells.setdefault(cell, []).append(k)
+    pairs = [tuple(sorted((int(known.regime[m]), int(known.regime[n])))) for m, n in zip(one, other, strict=True)]
+    links: dict = {}
+    points, errors = list(values), list(error)
+    for own in cells.values():
+        by_pair: dict = {}
+        for k in own:
+            by_pair.setdefault(pairs[k], []).append(k)
+        if len(own) == 2 and len(by_pair) == 1:
+            links.setdefault(pairs[own[0]], []).append(tuple(own))
+        elif len(own) > 2:
+            # three or more regimes: their curves meet somewhere in the cell
+            points.append(np.mean(values[own], axis=0))
+            errors.append(float(np.max(np.ptp(values[own], axis=0) / np.abs(points[-1]))))
+            for pair, ends in by_pair.items():
+                links.setdefault(pair, []).extend((k, len(points) - 1) for k in ends)
+    made = []
+    for pair, joined in links.items():
+        for chain in chains(joined):
+            named = [str(kinds[k]) for k in chain if k < len(kinds)]
+            kind = max(set(named), key=named.count) if named else ""
+            ends = typing.cast("tuple[Regime, Regime]", tuple(Regime(r) for r in pair))
+            made.append(
+                Boundary(ends, kind, np.array([points[k] for k in chain]), np.array([errors[k] for k in chain]))
+            )
+    return made

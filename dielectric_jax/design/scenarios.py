@@ -1,0 +1,115 @@
+"""What is uncertain about a design: the scenarios in which it must do, each with its scene, factors and sheet of states."""
+
+import dataclasses
+import itertools
+import typing
+
+import numpy as np
+import scipy.stats
+
+from .designs import surface_for
+from ..surface.family import SurfaceFamily
+from ..numerics.codes import check_between
+from ..model.scene import Scene, place_of
+from ..surface.surface import Surface
+
+__all__ = ["Scenario", "scenarios_of"]
+
+_SAMPLES = 32
+_MOST = 8  # uncertain parameters, whose corners are taken
+
+
+@dataclasses.dataclass(frozen=True)
+class Scenario:
+    """One case: the scene with what is uncertain at its value there, and the factors of the parameters that are sought.
+
+    The breakdown field of `scene` is the operating field, that of `real` the law's. `sheet` is the surface or family the states
+    come from; `given` the one the caller gave.
+    """
+
+    scene: Scene
+    real: Scene
+    factors: np.ndarray
+    sheet: Surface | SurfaceFamily
+    given: Surface | SurfaceFamily | None
+
+
+def value_of(scene: Scene, name: str) -> float:
+    """The value of a parameter of a scene; ValueError where it has none of that name."""
+    part: typing.Any = scene
+    for step in scene.path_of(name):
+        part = getattr(part, step, None)
+    if part is None:
+        raise ValueError(f"`{name}` must be a parameter of this scene, but it has none of that name.")
+    return float(part)
+
+
+def operated(scene: Scene, margin: float) -> Scene:
+    """The scene whose breakdown field is the operating field, 1 − margin of the law's."""
+    if margin == 0:
+        return scene
+    return scene.replace(breakdown_field_scale=value_of(scene, "breakdown_field_scale") * (1 - margin))
+
+
+def scenarios_of(
+    scene: Scene, axes: list, uncertain: dict, quantile: float | None, surface, margin: float
+) -> list[Scenario]:
+    """The centre of the box first, then its corners, or with a quantile even samples of it."""
+    names = tuple(a.name for a in axes)
+    for name, share in uncertain.items():
+        check_between(f"uncertain[{name}]", float(share), 0.0, 0.9)
+        value_of(scene, name)
+    if quantile is not None:
+        check_between("quantile", quantile, 0.0, 0.9)
+        if not uncertain:
+            raise ValueError("`uncertain` must name a parameter where `quantile` is given, but names none.")
+    if len(uncertain) > _MOST:
+        raise ValueError(f"`uncertain` must name at most {_MOST} parameters, but names {len(uncertain)}.")
+    sheets: dict = {}
+    made = []
+    for factors in _factors(uncertain, quantile):
+        changes = {n: value_of(scene, n) * f for n, f in factors.items() if n not in names}
+        own = scene.replace(**changes)
+        key = tuple(f for n, f in factors.items() if place_of(n)[:2] == ("membrane", "material"))
+        given = surface if all(f == 1 for f in key) else None
+        if "prestretch" in changes:
+            key, given = (*key, changes["prestretch"]), surface if isinstance(surface, SurfaceFamily) else None
+        if key not in sheets:
+            sheets[key] = _sheet(own, axes, factors, given)
+        made.append(
+            Scenario(operated(own, margin), own, np.array([factors.get(n, 1.0) for n in names]), sheets[key], given)
+        )
+    return made
+
+
+def _factors(uncertain: dict, quantile: float | None) -> list[dict]:
+    """Factors of the uncertain parameters, scenario by scenario."""
+    if not uncertain:
+        return [{}]
+    names = list(uncertain)
+    shares = np.array([float(uncertain[n]) for n in names])
+    if quantile is None:
+        sides = np.array([(0,) * len(names), *itertools.product((-1, 1), repeat=len(names))], float)
+    else:
+        sides = 2 * scipy.stats.qmc.Sobol(len(names), scramble=False).random(_SAMPLES) - 1
+    return [dict(zip(names, 1 + side * shares, strict=True)) for side in sides]
+
+
+def _sheet(scene: Scene, axes: list, factors: dict, given) -> Surface | SurfaceFamily:
+    """The surface of a scene, or the family over the prestretches that are sought."""
+    sought = [a for a in axes if a.name == "prestretch"]
+    if not sought:
+        return surface_for(scene.membrane, given)
+    (axis,) = sought
+    spread = abs(factors.get("prestretch", 1.0) - 1.0)
+    low, high = max(1.0, axis.low * (1 - spread)), axis.high * (1 + spread)
+    if isinstance(given, SurfaceFamily):
+        if not (given.prestretch[0] <= low and high <= given.prestretch[1]):
+            raise ValueError(
+                f"`surface` must be a family that covers the prestretches {low:g} to {high:g}, but covers "
+                f"{given.prestretch[0]:g} to {given.prestretch[1]:g}."
+            )
+        return given
+    if given is not None:
+        raise ValueError("`surface` must be a SurfaceFamily where the prestretch is sought, but is a Surface.")
+    return SurfaceFamily.build(scene.membrane.material, prestretch=(low, high), breakdown=scene.membrane.breakdown)

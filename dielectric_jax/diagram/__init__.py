@@ -1,0 +1,1 @@
+"""Bifurcation diagrams: states, branches, special points, ramps, regimes, alone and in batches."""

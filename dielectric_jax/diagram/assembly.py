@@ -1,0 +1,426 @@
+"""From traced lines of many scenes to their special points and ramps."""
+
+import dataclasses
+import typing
+
+import numpy as np
+
+from .crowd import Crowd, Met
+from ..model.equations import SCALE
+from .lanes import BREAKDOWN, LEVEL
+from ..model.outcomes import FoldAhead, Outcome
+from .polylines import Places, Polylines
+from ..model.scene import SCANNED_LOAD
+
+__all__ = ["Assembly", "Events", "assemble", "ramps_on_lines"]
+
+_LOOKS = 5
+_CLEAR = 0.2  # of the smaller end slope: a dip of the slope that stays above it hides nothing
+_PLACE = ("line", "interval", "share")
+_REACH = 0.6  # of the chord of its interval, how far an event may lie from where the interpolant shows it
+
+
+@dataclasses.dataclass
+class Events:
+    """Exact points on lines, in any order: `line`, place along it, what was met, and for crossings the fold they belong to."""
+
+    line: np.ndarray
+    position: np.ndarray
+    met: Met
+    of_fold: np.ndarray
+
+    def take(self, which) -> "Events":
+        """The events `which`."""
+        return Events(self.line[which], self.position[which], Met(*(v[which] for v in self.met)), self.of_fold[which])
+
+
+def _meet_places(crowd: Crowd, owner, lines: Polylines, places: Places, targets, kinds, tolerance: float) -> Met:
+    """Exact states at places of lines: on planes across them (NaN as target), at loads, or at breakdown."""
+    at, tangent, _ = lines.at(places)
+    across = np.isnan(targets)
+    rows = np.where(across[:, None], tangent / SCALE, np.array([0.0, 0.0, 1.0]))
+    targets = np.where(across, (tangent * at).sum(axis=1), targets)
+    reach = _REACH * lines.lengths[places.line, places.interval] + 1e-6
+    which = owner[places.line]
+    met = crowd.meet(which, at * SCALE, rows, targets, kinds, tolerance=tolerance, reach=reach)
+    sign = np.where((met.tangent * tangent).sum(axis=1) < 0, -1.0, 1.0)
+    return met._replace(tangent=met.tangent * sign[:, None], volume_rate=met.volume_rate * sign)
+
+
+def _exact(crowd: Crowd, owner, lines: Polylines, which: np.ndarray, tolerance: float):
+    """Makes every point of the lines `which` exact, in place; the lines and points where that failed."""
+    line, point = np.nonzero(np.isfinite(lines.points[which, :, 0]))
+    line = which[line]
+    at, way = lines.points[line, point], lines.tangents[line, point]
+    kinds = np.full(len(line), LEVEL)
+    met = crowd.meet(
+        owner[line], at * SCALE, way / SCALE, (way * at).sum(axis=1), kinds, tolerance=100 * tolerance, reach=0.1
+    )
+    sign = np.where((met.tangent * way).sum(axis=1) < 0, -1.0, 1.0)
+    good = met.ok
+    lines.points[line[good], point[good]] = met.u[good] / SCALE
+    lines.tangents[line[good], point[good]] = met.tangent[good] * sign[good, None]
+    return line[~good], point[~good]
+
+
+def _find_folds(crowd: Crowd, owner, lines: Polylines, tolerance: float):
+    """The lines with points between which q turns once or not at all, those turns as exact folds, and up to where.
+
+    The last are positions (lines,) beyond which a fold may be missing, infinite where there is no doubt.
+
+    Where an interpolant hides a pair of turns, or a turn is not met, the points of the line are made exact first, which
+    traced points are not, and then more are put where its slope dips towards zero.
+    """
+    sure = np.full(len(owner), np.inf)
+    inexact = np.ones(len(owner), bool)
+    done = Met.nothing(0), Places(np.zeros(0, int), np.zeros(0, int), np.zeros(0))
+    todo = np.arange(len(owner))
+    for _ in range(_LOOKS):
+        turns, dips = lines.turns(2)
+        turns, dips = (p.take(np.isin(p.line, todo)) for p in (turns, dips))
+        at, tangent, bend = lines.at(turns)
+        reach = _REACH * lines.lengths[turns.line, turns.interval] + 1e-6
+        start = owner[turns.line], at * SCALE, tangent, bend[:, 2]
+        met = crowd.meet_folds(*start, tolerance=tolerance, reach=reach)
+        sign = np.where((met.tangent * tangent).sum(axis=1) < 0, -1.0, 1.0)
+        met = met._replace(tangent=met.tangent * sign[:, None], volume_rate=met.volume_rate * sign)
+        again = np.unique(np.concatenate([turns.line[~met.ok], dips.line[~_harmless(lines, dips, inexact)]]))
+        keep = np.flatnonzero(met.ok & ~np.isin(turns.line, again))
+        done = (
+            Met(*(np.concatenate([a, b[keep]]) for a, b in zip(done[0], met, strict=True))),
+            Places(*(np.concatenate([getattr(p, n) for p in (done[1], turns.take(keep))]) for n in _PLACE)),
+        )
+        if not len(again):
+            break
+        todo = again
+        fresh = again[inexact[again]]
+        if len(fresh):
+            failed, point = _exact(crowd, owner, lines, fresh, tolerance)
+            np.minimum.at(sure, failed, point - 1.0)
+            inexact[fresh] = False
+            continue
+        more = [p.take(np.isin(p.line, again)) for p in (turns.take(~met.ok), dips)]
+        more = Places(*(np.concatenate([getattr(p, n) for p in more]) for n in _PLACE))
+        middle = Places(more.line, more.interval, np.clip(more.share, 0.25, 0.75))
+        kinds = np.full(len(middle), LEVEL)
+        found = _meet_places(crowd, owner, lines, middle, np.full(len(middle), np.nan), kinds, 100 * tolerance)
+        ok = np.flatnonzero(found.ok)
+        lines, moved = lines.insert(middle.take(ok), found.u[ok] / SCALE, found.tangent[ok])
+        done[1].interval[:] = moved[done[1].line, done[1].interval]
+        sure = _moved(sure, moved)
+        lost = more.take(np.flatnonzero(~found.ok))
+        np.minimum.at(sure, lost.line, moved[lost.line, lost.interval].astype(float))
+    else:
+        # what was not settled on the last lines
+        turns, dips = (p.take(np.isin(p.line, todo)) for p in lines.turns(2))
+        open_ = dips.take(np.flatnonzero(~_harmless(lines, dips, inexact)))
+        kept = set(zip(done[1].line.tolist(), done[1].interval.tolist(), strict=True))
+        rest = [
+            k
+            for k, (i, j) in enumerate(zip(turns.line.tolist(), turns.interval.tolist(), strict=True))
+            if (i, j) not in kept
+        ]
+        for places in (open_, turns.take(np.array(rest, int))):
+            np.minimum.at(sure, places.line, places.interval.astype(float))
+    met, places = done
+    order = np.lexsort((places.position, places.line))
+    return lines, places.take(order), Met(*(v[order] for v in met)), sure
+
+
+def _moved(position: np.ndarray, moved: np.ndarray) -> np.ndarray:
+    """Positions (lines,) after the points of the lines have moved to other places."""
+    known = np.flatnonzero(np.isfinite(position))
+    old = np.clip(position[known].astype(int), 0, moved.shape[1] - 1)
+    out = position.copy()
+    out[known] = moved[known, old]
+    return out
+
+
+def _harmless(lines: Polylines, dips: Places, inexact: np.ndarray) -> np.ndarray:
+    """Which dips of q's slope, between exact points, are far from zero or so short that no pair of folds fits in."""
+    _, tangent, _ = lines.at(dips)
+    ends = [lines.tangents[dips.line, dips.interval + k, 2] for k in (0, 1)]
+    least = np.where(ends[0] > 0, tangent[:, 2], -tangent[:, 2])
+    return ~inexact[dips.line] & (least > _CLEAR * np.minimum(*np.abs(ends)))
+
+
+def assemble(crowd: Crowd, owner: np.ndarray, lines: Polylines, tolerance: float) -> "Assembly":
+    """The folds of q among the points of the lines, and their other events."""
+    lines, places, met, sure = _find_folds(crowd, owner, lines, tolerance)
+    lines, moved = lines.insert(places, met.u / SCALE, met.tangent)
+    sure = _moved(sure, moved)
+    position = moved[places.line, places.interval] + 1.0
+    folds = Events(places.line, position, met, np.full(len(places), -1))
+
+    valid = np.isfinite(lines.points[..., 0])
+    line, point = np.nonzero(valid)
+    q, along = lines.points[..., 2] * SCALE[2], lines.tangents[..., 2] * SCALE[2]
+    broken, slope = np.full_like(q, np.nan), np.full_like(q, np.nan)
+    broken[line, point], slope[line, point], _ = crowd.limits(lines.points[line, point, 0], owner[line])
+    everything = np.arange(len(owner))
+    # at a fold its own load is met, not crossed
+    own_load = folds.met.u[:, 2]
+    of_fold, on = np.nonzero(owner[folds.line][:, None] == owner[None])
+    at_load = q[on] - own_load[of_fold][:, None]
+    same = on == folds.line[of_fold]
+    at_load[same, folds.position[of_fold[same]].astype(int)] = np.nan
+    zero, none = np.zeros(len(owner)), np.full(len(owner), -1)
+    rows = [
+        (q, along, everything, zero, LEVEL, none),
+        (q - broken, along - slope * lines.tangents[..., 0], everything, zero, BREAKDOWN, none),
+        (at_load, along[on], on, own_load[of_fold], LEVEL, of_fold),
+    ]
+    found, targets, kinds, sets, belongs = [], [], [], [], []
+    for k, (values, rates, which, target, kind, of) in enumerate(rows):
+        row, cross = lines.crossings(values, rates, which)
+        found.append(cross)
+        targets.append(target[row])
+        kinds.append(np.full(len(row), kind))
+        sets.append(np.full(len(row), k))
+        belongs.append(of[row])
+    places = Places(*(np.concatenate([getattr(p, n) for p in found]) for n in ("line", "interval", "share")))
+    sets, belongs = np.concatenate(sets), np.concatenate(belongs)
+    met = _meet_places(crowd, owner, lines, places, np.concatenate(targets), np.concatenate(kinds), tolerance)
+    np.minimum.at(sure, places.line[~met.ok], places.interval[~met.ok].astype(float))
+    # the load of a crossing is as wrong as its fold's, and where q hardly changes along the branch the place is vague
+    vague = np.maximum(np.abs(met.u[:, 2]), 1e-3) * met.error
+    crossing = sets == 2
+    of = folds.met
+    vague[crossing] += (of.error * np.maximum(np.abs(of.u[:, 2]), 1e-3))[belongs[crossing]]
+    with np.errstate(all="ignore"):
+        far = np.abs(met.volume_rate / (met.tangent[:, 2] * SCALE[2])) * vague / np.maximum(np.abs(met.volume), 1e-3)
+    met = met._replace(spread=np.where(sets == 1, 0.0, far))
+    # in the order of the states met: beside each other their guesses on the cubic may be in another
+    begin, chord = (lines.points[places.line, places.interval + k] for k in (0, 1))
+    chord = chord - begin
+    share = ((met.u / SCALE - begin) * chord).sum(axis=1) / (chord**2).sum(axis=1)
+    events = Events(places.line, places.interval + np.clip(share, 0.0, 1.0), met, belongs)
+    kept = [events.take(np.flatnonzero(met.ok & (sets == k))) for k in range(3)]
+    kept[0].met.u[:, 2] = 0.0
+    return Assembly(lines, folds, kept[0], kept[1], kept[2], sure)
+
+
+@dataclasses.dataclass
+class Assembly:
+    """Lines with their folds among the points, their events, and the positions beyond which something may be missing."""
+
+    lines: Polylines
+    folds: Events
+    zeros: Events
+    breaks: Events
+    crossings: Events
+    sure: np.ndarray
+
+
+_EVENTS = 11  # start, two snaps, two landings, breakdown, two snap-backs and their two landings, rest
+_SNAPS = 2
+_AMBIGUOUS = 1e-6  # a landing this near to breakdown is not told
+_SPECIAL = (6, 5, 3)  # folds, zeros, breakdowns that are told
+
+
+def _values(met: Met) -> np.ndarray:
+    """λa, p, V, q and error of states, (states, 5)."""
+    return np.stack([met.u[:, 0], met.u[:, 1], met.volume, met.u[:, 2], np.maximum(met.error, met.spread)], axis=1)
+
+
+def _along_lines(events: Events, start: np.ndarray | None, lines: int, count: int) -> np.ndarray:
+    """Values (lines, 5, count) of the first events on every line, `start` (lines, 5) before them; NaN where there are fewer."""
+    line, position, values = events.line, events.position, _values(events.met)
+    if start is not None:
+        own = np.flatnonzero(np.isfinite(start[:, 0]))
+        line, position = np.concatenate([own, line]), np.concatenate([np.full(len(own), -1.0), position])
+        values = np.concatenate([start[own], values])
+    order = np.lexsort((position, line))
+    rank = np.arange(len(line)) - np.searchsorted(line[order], line[order])
+    which = order[rank < count]
+    marks = np.full((lines, 5, count), np.nan)
+    marks[line[which], :, rank[rank < count]] = values[which]
+    return marks
+
+
+class _Lists:
+    """The events of an assembly as lists: of each kind their positions and values, those of a line, crossings of a fold."""
+
+    def __init__(self, of: Assembly):
+        self.positions, self.values, self.on_line, self.of_fold = {}, {}, {}, {}
+        for kind in ("folds", "zeros", "breaks", "crossings"):
+            events = getattr(of, kind)
+            self.positions[kind], self.values[kind] = events.position.tolist(), _values(events.met)
+            self.on_line[kind] = {}
+            for i, line in enumerate(events.line.tolist()):
+                self.on_line[kind].setdefault(line, []).append(i)
+        for i, fold in enumerate(of.crossings.of_fold.tolist()):
+            self.of_fold.setdefault(fold, []).append(i)
+
+
+class _Ramp:
+    """The way up and down of one scene over the events of its lines.
+
+    `limits` are those of the membrane at the crossings, see `Crowd.limits`; `top` is the largest stretch of the window.
+    """
+
+    def __init__(self, of: Assembly, lists: _Lists, main: int, limits: np.ndarray, top: float):
+        self.of, self.lists, self.limits = of, lists, limits
+        self.top = top
+        self.main = main
+        self.told = np.full((5, _EVENTS), np.nan)
+        self.snaps = 0
+        self.broken_at: int | None = None
+        self.last = 0.0  # position of the last event of the way up on the first line
+        self.returns = False  # whether the way down was followed
+
+    def next(self, kind: str, line: int, position: float, side: int):
+        """The next event of a kind along a line, or None: its index."""
+        at = self.lists.positions[kind]
+        ahead = [
+            (side * (at[i] - position), i)
+            for i in self.lists.on_line[kind].get(line, ())
+            if side * (at[i] - position) > 1e-9
+        ]
+        return min(ahead)[1] if ahead else None
+
+    def land(self, fold: int, side: int):
+        """The stable state at a fold's load nearest in volume in the direction of the jump, or None."""
+        met, crossings = self.of.folds.met, self.of.crossings
+        way = side * np.sign(met.volume_rate[fold])
+        found = [
+            (way * (crossings.met.volume[i] - met.volume[fold]), i)
+            for i in self.lists.of_fold.get(fold, ())
+            if crossings.met.index[i] == 0 and crossings.met.u[i, 2] <= SCANNED_LOAD * self.limits[2, i]
+        ]
+        found = [f for f in found if f[0] > 0]
+        return min(found)[1] if found else None
+
+    def is_sure(self) -> bool:
+        """Whether nothing that the ramp says depends on a part of a line where an event may be missing.
+
+        Where it breaks down, or snaps to no landing on its own lines, only the way to there counts.
+        """
+        if self.snaps > 1 or self.returns:
+            return bool(np.isinf(self.of.sure[self.main]))
+        return self.last < self.of.sure[self.main]
+
+    def tell(self, column: int, kind: str, i: int) -> None:
+        self.told[:, column] = self.lists.values[kind][i]
+
+    def up(self) -> Outcome:
+        """Follows the way up and returns how it ends; then, where it survives, the way down."""
+        of, line, position, side = self.of, self.main, 0.0, 1
+        for stage in range(_SNAPS + 1):
+            fold, broken = self.next("folds", line, position, side), self.next("breaks", line, position, side)
+            if fold is None and broken is None:
+                return Outcome.unresolved
+            at = [side * e.position[i] if i is not None else np.inf for e, i in ((of.folds, fold), (of.breaks, broken))]
+            first = of.breaks.met.u[broken, 0] if at[1] < at[0] else of.folds.met.u[fold, 0]
+            if first > self.top:
+                return Outcome.unresolved
+            if broken is not None and at[1] < at[0]:
+                self.tell(5, "breaks", broken)
+                self.broken_at = broken
+                self.last = max(self.last, float(of.breaks.position[broken]))
+                return self.down(line, position, side)
+            if stage == _SNAPS or fold is None:
+                return Outcome.unresolved
+            self.tell(1 + stage, "folds", fold)
+            self.snaps += 1
+            self.last = max(self.last, float(of.folds.position[fold]))
+            landing = self.land(fold, side)
+            if landing is None:
+                return Outcome.no_landing  # on this line
+            self.tell(3 + stage, "crossings", landing)
+            load, limit = of.folds.met.u[fold, 2], self.limits[0, landing]
+            if abs(load - limit) <= _AMBIGUOUS * limit:
+                return Outcome.unresolved
+            if load >= limit:
+                return Outcome.breakdown_in_snap
+            line, position = int(of.crossings.line[landing]), float(of.crossings.position[landing])
+            side = 1 if of.crossings.met.tangent[landing, 2] > 0 else -1
+        return Outcome.unresolved
+
+    def down(self, line: int, position: float, side: int) -> Outcome:
+        """The way down from the last landing."""
+        of = self.of
+        if not self.snaps:
+            self.told[:, 10] = self.told[:, 0]
+            return Outcome.breakdown_on_branch
+        self.returns = True
+        for stage in range(_SNAPS + 1):
+            fold, zero = self.next("folds", line, position, -side), self.next("zeros", line, position, -side)
+            at = [-side * e.position[i] if i is not None else np.inf for e, i in ((of.folds, fold), (of.zeros, zero))]
+            if zero is not None and at[1] < at[0]:
+                self.tell(10, "zeros", zero)
+                return Outcome.breakdown_on_branch
+            if fold is None and line == self.main and side > 0:  # back at the start
+                self.told[:, 10] = self.told[:, 0]
+                return Outcome.breakdown_on_branch
+            if fold is None or stage == _SNAPS:
+                return Outcome.unresolved
+            self.tell(6 + stage, "folds", fold)
+            landing = self.land(fold, -side)
+            if landing is None:
+                return Outcome.unresolved
+            self.tell(8 + stage, "crossings", landing)
+            line, position = int(of.crossings.line[landing]), float(of.crossings.position[landing])
+            side = 1 if of.crossings.met.tangent[landing, 2] > 0 else -1
+        return Outcome.unresolved
+
+    def fold_ahead(self, fractions: np.ndarray, left: bool) -> FoldAhead:
+        """Whether the line of a ramp that breaks without a snap has a fold further on, in the scanned window."""
+        if self.broken_at is None or self.snaps:
+            return FoldAhead.unknown
+        fold = self.next("folds", self.main, float(self.of.breaks.position[self.broken_at]), 1)
+        reached = np.inf if fold is None else float(self.of.folds.position[fold])
+        if not (reached < self.of.sure[self.main] or np.isinf(self.of.sure[self.main])):
+            return FoldAhead.unknown
+        if fold is None:
+            return FoldAhead.none if left else FoldAhead.unknown
+        return FoldAhead.fold if fractions[fold] <= SCANNED_LOAD else FoldAhead.none
+
+
+class RampColumns(typing.NamedTuple):
+    """The columns of `ensemble.ramps_of` for many scenes, as far as their own lines show."""
+
+    events: np.ndarray
+    folds: np.ndarray
+    zeros: np.ndarray
+    breaks: np.ndarray
+    snaps: np.ndarray
+    outcome: np.ndarray
+    ahead: np.ndarray
+
+
+def ramps_on_lines(crowd: Crowd, owner: np.ndarray, of: Assembly, start: Met, ends: typing.Any) -> RampColumns:
+    """The ramps of scenes as far as their lines show them; the branch from the start of scene k is line k.
+
+    `no_landing` means that no line of the scene has a landing. `ends.limits` (scenes, 5) are the windows, `ends.left` says of
+    which scenes the line ends where it leaves the window.
+    """
+    scenes, lists, begin = len(ends.left), _Lists(of), _values(start)
+    told = np.full((scenes, 5, _EVENTS), np.nan)
+    outcome, snaps = np.full(scenes, int(Outcome.unresolved)), np.zeros(scenes, int)
+    ahead = np.full(scenes, int(FoldAhead.unknown))
+    stable = start.ok & (start.index == 0)
+    unstable = start.ok & ~stable
+    outcome[unstable], told[unstable, :, 0] = int(Outcome.start_unstable), begin[unstable]
+    limits = crowd.limits(of.crossings.met.u[:, 0], owner[of.crossings.line])
+    # the last step of a march may leave the window of the stretch: what lies there does not count
+    limits[2, of.crossings.met.u[:, 0] > ends.limits[owner[of.crossings.line], 1]] = 0.0
+    fold = owner[of.folds.line]
+    fractions = of.folds.met.u[:, 2] / crowd.limits(of.folds.met.u[:, 0], fold)[2]
+    fractions[of.folds.met.u[:, 0] > ends.limits[fold, 1]] = np.inf
+    for k in np.flatnonzero(stable).tolist():
+        ramp = _Ramp(of, lists, k, limits, float(ends.limits[k, 1]))
+        ramp.told[:, 0] = begin[k]
+        ended = ramp.up()
+        if ended is not Outcome.unresolved and ramp.is_sure():
+            told[k], outcome[k], snaps[k] = ramp.told, int(ended), ramp.snaps
+            ahead[k] = int(ramp.fold_ahead(fractions, bool(ends.left[k])))
+    begin = np.where(stable[:, None], begin, np.nan)
+    marks = [
+        _along_lines(events, begin if events is of.zeros else None, scenes, count)
+        for events, count in zip((of.folds, of.zeros, of.breaks), _SPECIAL, strict=True)
+    ]
+    for mark in marks:  # where the start is unstable only the start is known
+        mark[~stable] = np.nan
+    folds, zeros, breaks = marks
+    return RampColumns(told, folds, zeros, breaks, snaps, outcome, ahead)

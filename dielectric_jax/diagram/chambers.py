@@ -1,0 +1,485 @@
+"""Ramps of many chambers, or pressures, on one membrane's surface: all their special points and events, nothing stepped.
+
+A loading crosses each row of λa at one load (`rows`), so that its contour is q(λa) on even rows: folds are the extremes of
+the polynomial through neighbouring rows, zero-voltage states its zeros, breakdown where it meets q_b(λa), landings where it meets
+the fold's q again. Where a row shows several crossings the contour ends; a ramp that is not decided by then, or by the
+edge of the surface's domain, is left to `voltage_volume`: its outcome says so, and its numbers are NaN.
+"""
+
+import typing
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .beyond import Landing, folds_ahead, landings
+from .crowd import Crowd
+from ..model.equations import locking_stretch
+from ..numerics.compiled import kept_jit
+from ..model.loading import Chamber, ConstantPressure, Contour
+from .marks import LEVEL, ContourOnRows, Events, first_place
+from ..model.outcomes import FoldAhead, Outcome, regimes_of
+from ..model.programs import threads
+from .ramp_on_rows import polish_program, ramp_program, snap_program
+from ..numerics.codes import check_positive
+from ..surface.rows import ROWS, Conditions, Rows, crossings, rows_of
+from ..surface.surface import ById, Surface
+
+__all__ = [
+    "Curves",
+    "Point",
+    "Ramps",
+    "chamber_curves",
+    "chamber_ramps",
+    "filling_volumes",
+    "pressure_curves",
+    "pressure_ramps",
+]
+
+_CHUNK = 256
+_FEW = 8  # loadings that are answered together where a single one is asked for at once
+_POLISHED = 1e-9  # from this error on the events of a ramp are met on the surface itself
+_LARGEST_ERROR = 1e-8  # of a ramp that is told, in the end
+_FLAT = 1e-8  # of a pressure: nearer to its maximum no start is told
+_SOME = 8  # ramps that are polished together
+
+
+class Point(typing.NamedTuple):
+    """States of many loadings, arrays of one shape; NaN where there is none, and for the voltage of q < 0.
+
+    `error` bounds the relative error |error|/max(|value|, 1e-3) of volume and q; beside NaN it tells of a point that is
+    there but was not located.
+    """
+
+    apex_stretch: np.ndarray
+    pressure: np.ndarray
+    volume: np.ndarray
+    voltage: np.ndarray
+    error: np.ndarray
+
+
+class Ramps(typing.NamedTuple):
+    """Ramps of many loadings; NaN where there is no such event.
+
+    The arrays have the shape of the loadings; those of `snap`, `landing`, `snap_back` and `landing_back` have a last axis
+    more, of two, for ramps that snap twice. The way up: `start`, `snaps` snaps with their landings (`landing_ratio` is
+    E/E_EB there; where it is at least 1 the ramp ends in it), `breakdown` on the branch; `area_strain` is (λa at breakdown / λa at the start)² − 1, with breakdown in the snap that of
+    the last unbroken state. The way down from the last landing: `snap_back`, `landing_back`, and `rest`, the zero-voltage state in which it
+    ends. `error` bounds the relative error of the voltages and volumes of the ramp.
+
+    Special points of the contour through the start, by rising λa along a last axis: `folds` (of q, six), `zero_voltage`
+    (five), `breakdowns` (three); all there are between the two λa of `reach` (…, 2), where the surface holds the contour alone.
+    `outcome` holds an `Outcome` for each ramp. `ahead` is a `FoldAhead`: whether a branch that breaks down has a fold further on.
+    """
+
+    start: Point
+    snap: Point
+    landing: Point
+    landing_ratio: np.ndarray
+    breakdown: Point
+    area_strain: np.ndarray
+    snaps: np.ndarray
+    snap_back: Point
+    landing_back: Point
+    rest: Point
+    folds: Point
+    zero_voltage: Point
+    breakdowns: Point
+    reach: np.ndarray
+    outcome: np.ndarray
+    error: np.ndarray
+    ahead: np.ndarray
+
+    @property
+    def regime(self) -> np.ndarray:
+        """The `Regime` of every ramp as numbers; `not_decided` where the engine could not determine it."""
+        back = np.isfinite(self.snap_back.volume).any(axis=-1)
+        return regimes_of(self.outcome, self.snaps, back, self.ahead)
+
+
+class Curves(typing.NamedTuple):
+    """Voltage–volume curves of many loadings at common apex stretches (256,); the others are (loadings…, 256).
+
+    NaN where the surface holds no state, or several at one λa (then `several` is True).
+    """
+
+    apex_stretch: np.ndarray
+    voltage_squared: np.ndarray
+    pressure: np.ndarray
+    volume: np.ndarray
+    several: np.ndarray
+
+
+def _start(rows: Rows, values, others, target, order: int):
+    """Where the state at zero voltage first reaches a volume (or with `order` −1 a pressure), from values on the rows."""
+    reached, any_ = first_place(values >= target)
+    # a maximum between two rows may reach it before
+    before, here, after = values[:-2], values[1:-1], values[2:]
+    bend = before - 2 * here + after
+    over = jnp.where(bend < 0, (after - before) ** 2 / (-8 * bend), 0.0)
+    near = (here >= before) & (here >= after) & (here + 1.5 * over + _FLAT * jnp.abs(here) >= target)
+    present = any_ & (reached > 0) & ~jnp.any(near & (jnp.arange(1, ROWS - 1) < reached))
+    whole = ContourOnRows(rows, values, others, jnp.asarray(0), jnp.asarray(ROWS - 1))
+    place, _, other, _ = whole.meet(jnp.maximum(reached - 1, 0), LEVEL, target)
+
+    def on_surface(apex):
+        return jnp.stack(rows.surface.at_load_fraction(apex, 0.0, ("volume", "pressure")[::order]))
+
+    def newton(_, known):
+        apex, _, _ = known
+        value, slope = jax.jvp(on_surface, (apex,), (jnp.ones_like(apex),))
+        move = (target - value[0]) / slope[0]
+        return apex + move, value[1] + slope[1] * move, jnp.abs(move)
+
+    apex, other, size = jax.lax.fori_loop(0, 2, newton, (rows.apex_at(place), other, jnp.inf))
+    place = jnp.where(present & (size < 1e-5), rows.place_of(apex), jnp.inf)
+    return Events(place, target, other, jnp.where(size < 1e-7, 0.0, size))
+
+
+def _conditions(rows: Rows, lanes, kind: str):
+    """The starts and conditions of a chunk of chambers (V_C, V_0, p_atm, n), or of pressures."""
+    if kind == "pressure":
+        (pressure,) = lanes
+        start = jax.vmap(lambda p: _start(rows, rows.flat_pressure, rows.flat_volume, p, -1))(pressure)
+        one, zero = jnp.ones_like(pressure), jnp.zeros_like(pressure)
+        conditions = Conditions(zero, one, pressure, zero, one, polytropic=False)
+        return Events(start.place, zero, start.volume, start.error), conditions
+    chamber, filling, outside, exponent = lanes
+    start = jax.vmap(lambda v: _start(rows, rows.flat_volume, rows.flat_pressure, v, 1))(filling)
+    pressure = jnp.where(jnp.isfinite(start.place), start.volume, jnp.nan)  # the other value of a start is its pressure
+    given = jnp.ones_like(chamber), chamber, jnp.ones_like(chamber), outside, exponent
+    conditions = Conditions(*given, polytropic=kind == "polytropic")
+    constant = (pressure + outside) * conditions.power(filling + chamber)[0]
+    conditions = eqx.tree_at(lambda c: c.constant, conditions, constant)
+    return Events(start.place, jnp.zeros_like(filling), filling, start.error), conditions
+
+
+def _crossing_program(kind: str):
+    def crossings_of(rows, lanes):
+        start, conditions = _conditions(rows, lanes, kind)
+        q, v, found, again, above = crossings(rows, conditions)
+        q, v = (jnp.where(found & ~again, w, jnp.nan) for w in (q, v))
+        return jax.tree.leaves(start), jax.tree.leaves(conditions), (q, conditions.pressure(v), v, found, again, above)
+
+    crossings_of.__name__ = f"crossings_{kind}"
+    return kept_jit(crossings_of)
+
+
+_CROSSINGS = {kind: _crossing_program(kind) for kind in ("isothermal", "polytropic", "pressure")}
+
+
+def _ramps_chunk(rows: Rows, lanes, kind: str):
+    start, conditions, crossed = _CROSSINGS[kind](rows, lanes)
+    return _ramps_of_crossings(rows, start, conditions, crossed, kind)
+
+
+def _ramps_of_crossings(rows: Rows, start, conditions, crossed, kind: str):
+    q, _, *crossed = crossed
+    conditions = Conditions(*conditions, polytropic=kind == "polytropic")
+    # a program of its own: fused with the crossings it would find them anew for every use
+    answer = ramp_program(rows, Events(*start), conditions, q, *crossed)
+    told, marks, snaps, outcome, reach = (jax.tree.map(np.array, part) for part in answer)
+
+    def worst():
+        return np.max(np.nan_to_num(told[:, 4], nan=0.0), axis=1)
+
+    rough = np.flatnonzero(worst() > _POLISHED)
+    for i in range(0, len(rough), _SOME):
+        some = rough[i : i + _SOME]
+        which = np.pad(some, (0, _SOME - len(some)), mode="edge")
+        own = jax.tree.map(lambda v, which=which: np.asarray(v)[which], conditions)
+        told[some] = np.asarray(polish_program(rows.surface, own, told[which]))[: len(some)]
+    vague = worst() > _LARGEST_ERROR
+    told[vague], snaps[vague], outcome[vague] = np.nan, 0, int(Outcome.unresolved)
+    return told, *marks, snaps, outcome, reach
+
+
+def _snaps_chunk(rows: Rows, lanes, kind: str):
+    start, conditions, (q, _, *crossed, _) = _CROSSINGS[kind](rows, lanes)
+    return (snap_program(rows, Events(*start), Conditions(*conditions, polytropic=kind == "polytropic"), q, *crossed),)
+
+
+def first_folds_on(surface: Surface, given: dict) -> np.ndarray:
+    """Start and first fold, (λa, p, V, q, error) each, of many chambers or pressures: (…, 2, 5); NaN where not decided.
+
+    `given` names the columns as the arguments of `chamber_ramps`, or the pressure.
+    """
+    columns, kind = _loadings(surface, given)
+    return _run(_snaps_chunk, surface, columns, kind, 0)[0]
+
+
+@kept_jit
+def _filling_program(rows: Rows, pressure):
+    start = jax.vmap(lambda p: _start(rows, rows.flat_pressure, rows.flat_volume, p, -1))(pressure)
+    return jnp.where(start.seen(), start.volume, jnp.nan)
+
+
+def _filling_chunk(rows: Rows, lanes, kind: str):
+    return _filling_program(rows, *lanes)
+
+
+def _curves_chunk(rows: Rows, lanes, kind: str):
+    q, p, v, _, again, _ = _CROSSINGS[kind](rows, lanes)[2]
+    return q, p, v, again
+
+
+def _glance_chunk(rows: Rows, lanes, kind: str):
+    start, conditions, crossed = _CROSSINGS[kind](rows, lanes)
+    q, p, v, _, again, _ = (np.asarray(values).T for values in crossed)
+    return [q, p, v, again, *_ramps_of_crossings(rows, start, conditions, crossed, kind)]
+
+
+def curves_and_ramps(surface: Surface, given: dict) -> tuple[Curves, Ramps]:
+    """Curves and ramps of a few loadings, at once and without the padding that large batches have; as `chamber_ramps`.
+
+    `given` names the columns as the arguments of `chamber_ramps`, or the pressure.
+    """
+    columns, kind = _loadings(surface, given)
+    q, p, v, again, *told = _run(_glance_chunk, surface, columns, kind, 0, _FEW)
+    curves = Curves(np.asarray(rows_of(ById(surface)).apex_stretch), q, p, v, again)
+    return curves, _answer(surface, columns, kind, told, exact=True)
+
+
+def _answer(surface: Surface, columns: list[np.ndarray], kind: str, told: list, *, exact: bool = False) -> Ramps:
+    """The ramps that the program found on the surface, with what lies beyond it: landings, and folds further on.
+
+    With `exact` landings beyond the surface are located; else their numbers are NaN and only the outcome says that they
+    are there.
+    """
+    events, folds, zeros, breaks, snaps, outcome, reach = told
+    shape = outcome.shape
+    flat = [np.reshape(v, (-1, *v.shape[len(shape) :])) for v in (events, folds, snaps, outcome)]
+    ahead = _decide_beyond(surface, [v.ravel() for v in columns], kind, *flat, exact=exact).reshape(shape)
+    events, folds, snaps, outcome = (
+        np.reshape(v, w.shape) for v, w in zip(flat, (events, folds, snaps, outcome), strict=True)
+    )
+    return ramps_of(surface.breakdown_load, events, folds, zeros, breaks, snaps, outcome, reach, ahead)
+
+
+def _decide_beyond(surface: Surface, columns, kind: str, events, folds, snaps, outcome, *, exact: bool) -> np.ndarray:
+    """Settles in place the ramps whose end lies beyond the surface; returns their `FoldAhead`."""
+    ahead = np.full(len(outcome), int(FoldAhead.unknown))
+    broken = events[:, 0, 5]
+    with np.errstate(invalid="ignore"):
+        ahead[(folds[:, 0] > broken[:, None]).any(axis=1)] = FoldAhead.fold
+    first = outcome == Outcome.breakdown_on_branch
+    open_ = np.flatnonzero(first & (snaps == 0) & (ahead == FoldAhead.unknown))
+    if len(open_):
+        contour = _contour(columns, kind, events, open_)
+        ahead[open_] = folds_ahead(surface.membrane, contour, broken[open_], events[open_, 3, 5])
+    lost = np.flatnonzero(outcome == Outcome.no_landing)
+    if len(lost):
+        last = np.maximum(snaps[lost], 1)
+        crowd = _crowd(surface, _contour(columns, kind, events, lost))
+        found = landings(crowd, surface.membrane, np.arange(len(lost)), events[lost, :, last], exact=exact)
+        outcome[lost[found.kind == Landing.broken]] = Outcome.breakdown_in_snap
+        events[lost, :, 2 + last] = found.state
+        undecided = lost[(found.kind == Landing.unknown) | (found.kind == Landing.unbroken)]
+        events[undecided], snaps[undecided], outcome[undecided] = np.nan, 0, Outcome.unresolved
+    return ahead
+
+
+def _contour(columns, kind: str, events, which: np.ndarray) -> Contour:
+    """The conditions of loadings, as columns."""
+    own = [v[which] for v in columns]
+    example = ConstantPressure(1.0) if kind == "pressure" else Chamber(volume=1.0, initial_volume=1.0)
+    loading = jax.tree.unflatten(jax.tree.structure(example), own)
+    filling = () if kind == "pressure" else (events[which, 1, 0], own[1])
+    return jax.tree.map(lambda v: np.broadcast_to(np.asarray(v, float), len(which)), loading.contour(*filling))
+
+
+def landings_on(surface: Surface, given: dict, folds: np.ndarray) -> np.ndarray:
+    """λa and p (n, 2) of the states on which snaps of loadings (n,) land, from folds (λa, q) (n, 2), as the scan shows them.
+
+    `given` names the columns as the arguments of `chamber_ramps`, or the pressure. NaN where there is none, or none is clear.
+    """
+    count = len(folds)
+    given = {name: np.broadcast_to(np.asarray(v, float), count) for name, v in given.items()}
+    columns, kind = _loadings(surface, given)
+    starts = np.moveaxis(first_folds_on(surface, given)[:, :1], 1, 2)  # (n, values, events)
+    # of a fold the pressure does not matter, and the volume only where a landing lies below it
+    known = np.column_stack([folds[:, 0], np.zeros((count, 2)), folds[:, 1], np.zeros(count)])
+    which = np.flatnonzero(np.isfinite(folds).all(axis=1) & np.isfinite(starts[:, 1, 0]))
+    guess = np.full((count, 2), np.nan)
+    if len(which):
+        crowd = _crowd(surface, _contour(columns, kind, starts, which))
+        found = landings(crowd, surface.membrane, np.arange(len(which)), known[which], exact=False)
+        guess[which] = np.where(np.isfinite(found.state[:, :2]), found.state[:, :2], found.guess)
+    return guess
+
+
+def _crowd(surface: Surface, contour: Contour) -> Crowd:
+    count = len(contour.pressure_weight)
+    membrane = jax.tree.map(lambda v: np.full(count, float(v)), surface.membrane)
+    return Crowd(membrane, contour, np.full(count, locking_stretch(surface.membrane)))
+
+
+def _run(chunk, surface: Surface, columns: list[np.ndarray], kind: str, axis: int, some: int = _CHUNK):
+    """`chunk` on many loadings, some at a time on all cores: a list of arrays with the shape of the loadings first.
+
+    `axis` is where the results of `chunk` count the loadings, 0 or 1 of two.
+    """
+    shape, rows = columns[0].shape, rows_of(ById(surface))
+    flat = [values.ravel() for values in columns]
+    count = flat[0].size
+
+    def work(i):
+        part = tuple(np.pad(v[i : i + some], (0, max(0, i + some - v.size)), mode="edge") for v in flat)
+        return [np.moveaxis(np.asarray(v), axis, 0) for v in jax.tree.leaves(chunk(rows, part, kind))]
+
+    def keep(i):
+        for whole, part in zip(wholes, work(i) if i else first, strict=True):
+            whole[i : i + some] = part[: count - i]
+
+    first = work(0)  # alone: it compiles
+    # in the order of memory that the chunks have
+    shapes = [(*v.shape[1:], count) if axis else (count, *v.shape[1:]) for v in first]
+    wholes = [np.moveaxis(np.empty(own, v.dtype), axis, 0) for own, v in zip(shapes, first, strict=True)]
+    list(threads().map(keep, range(0, count, some)))
+    return [whole.reshape((*shape, *whole.shape[1:])) for whole in wholes]
+
+
+def _loadings(surface, given: dict):
+    """The columns of chambers or pressures by name, checked, and the kind of program they need."""
+    return (_columns(surface, given), "pressure") if "pressure" in given else _chambers(surface, **given)
+
+
+def _chambers(surface, chamber_volume, initial_volume, atmospheric_pressure, polytropic_exponent):
+    """The columns of chambers, checked, and the kind of program they need."""
+    given = {"chamber_volume": chamber_volume, "initial_volume": initial_volume}
+    given |= {"atmospheric_pressure": atmospheric_pressure, "polytropic_exponent": polytropic_exponent}
+    columns = _columns(surface, given)
+    return columns, "isothermal" if np.all(columns[3] == 1) else "polytropic"
+
+
+def _columns(surface, given: dict) -> list[np.ndarray]:
+    if not isinstance(surface, Surface):
+        raise ValueError(f"`surface` must be a Surface, but is a {type(surface).__name__}.")
+    surface.membrane.check_breaks_at_apex()
+    columns = dict(zip(given, np.broadcast_arrays(*(np.asarray(v, float) for v in given.values())), strict=True))
+    for name, values in columns.items():
+        if not values.size:
+            raise ValueError(f"`{name}` must hold at least one loading, but is empty.")
+        wrong = ~(np.isfinite(values) & ((values > 0) | ((values == 0) & (name == "atmospheric_pressure"))))
+        if wrong.any():
+            check_positive(name, float(values[wrong].flat[0]), zero=name == "atmospheric_pressure")
+    return list(columns.values())
+
+
+def ramps_of(breakdown_load: Callable, told, folds, zeros, breaks, snaps, outcome, reach, ahead) -> Ramps:
+    """The answer of the program, by names; points have an axis of λa, p, V, q, error, then one of events.
+
+    `breakdown_load` gives q_b of stretches at the apex.
+    """
+
+    def points(values):
+        apex, p, v, q, error = values
+        with np.errstate(invalid="ignore"):
+            return Point(apex, p, v, np.sqrt(q), error)
+
+    def at(which):
+        return points(np.moveaxis(told[..., which], told.ndim - 2, 0))
+
+    folds, zeros, breaks = (points(np.moveaxis(m, -2, 0)) for m in (folds, zeros, breaks))
+    landing = at(slice(3, 5))
+    with np.errstate(invalid="ignore"):
+        limit = np.sqrt(np.asarray(breakdown_load(landing.apex_stretch)))
+    snapped = np.where(np.isnan(told[..., 0, 2]), told[..., 0, 1], told[..., 0, 2])
+    final = np.where(np.isnan(told[..., 0, 5]), snapped, told[..., 0, 5])
+    return Ramps(
+        start=at(0),
+        snap=at(slice(1, 3)),
+        landing=landing,
+        landing_ratio=landing.voltage / limit,
+        breakdown=at(5),
+        area_strain=(final / told[..., 0, 0]) ** 2 - 1,
+        snaps=snaps,
+        snap_back=at(slice(6, 8)),
+        landing_back=at(slice(8, 10)),
+        rest=at(10),
+        folds=folds,
+        zero_voltage=zeros,
+        breakdowns=breaks,
+        reach=reach,
+        outcome=outcome,
+        error=np.where(outcome == Outcome.unresolved, np.nan, np.max(np.nan_to_num(told[..., 4, :], nan=0.0), axis=-1)),
+        ahead=ahead,
+    )
+
+
+def chamber_ramps(
+    surface: Surface, chamber_volume, initial_volume, *, atmospheric_pressure=50.0, polytropic_exponent=1.0
+) -> Ramps:
+    """The ramps, up and down, of every chamber in arrays of one shape (or numbers, broadcast), on a membrane's surface.
+
+    If the surface cannot determine what a chamber does, its outcome is `Outcome.unresolved` and its numbers are NaN;
+    `voltage_volume` decides it. A snap may land beyond the surface, above breakdown: then the outcome is
+    `breakdown_in_snap` and the numbers of the landing are NaN. Raises ValueError for numbers that are not positive and finite.
+
+    >>> from dielectric_jax import Membrane
+    >>> ramps = chamber_ramps(Surface.build(Membrane()), [800.0, 1600.0], 2.42)
+    >>> [round(float(v), 9) for v in ramps.snap.voltage[:, 0]]
+    [0.097199007, 0.07649536]
+    >>> round(float(ramps.area_strain[1]), 4)
+    16.1219
+    """
+    given = chamber_volume, initial_volume, atmospheric_pressure, polytropic_exponent
+    columns, kind = _chambers(surface, *given)
+    return _answer(surface, columns, kind, _run(_ramps_chunk, surface, columns, kind, 0))
+
+
+def pressure_ramps(surface: Surface, pressure) -> Ramps:
+    """The ramps at constant pressures, from the state at zero voltage of the smallest volume; as `chamber_ramps`.
+
+    >>> from dielectric_jax import Membrane
+    >>> ramps = pressure_ramps(Surface.build(Membrane()), [1.0, 1.82])
+    >>> [Outcome(int(o)).name for o in ramps.outcome]
+    ['breakdown_in_snap', 'breakdown_in_snap']
+    """
+    columns = _columns(surface, {"pressure": pressure})
+    return _answer(surface, columns, "pressure", _run(_ramps_chunk, surface, columns, "pressure", 0))
+
+
+def chamber_curves(
+    surface: Surface, chamber_volume, initial_volume, *, atmospheric_pressure=50.0, polytropic_exponent=1.0
+) -> Curves:
+    """Voltage–volume curves of every chamber at the 256 apex stretches of the surface's rows; as `chamber_ramps`.
+
+    >>> from dielectric_jax import Membrane
+    >>> curves = chamber_curves(Surface.build(Membrane()), [800.0, 1600.0], 2.42)
+    >>> curves.voltage_squared.shape
+    (2, 256)
+    """
+    given = chamber_volume, initial_volume, atmospheric_pressure, polytropic_exponent
+    return _curves(surface, *_chambers(surface, *given))
+
+
+def pressure_curves(surface: Surface, pressure) -> Curves:
+    """Voltage–volume curves at constant pressures, as `chamber_curves`.
+
+    >>> from dielectric_jax import Membrane
+    >>> curves = pressure_curves(Surface.build(Membrane()), [1.0, 1.82])
+    >>> bool(np.nanmax(abs(curves.pressure[1] - 1.82)) < 1e-12)
+    True
+    """
+    return _curves(surface, _columns(surface, {"pressure": pressure}), "pressure")
+
+
+def _curves(surface: Surface, columns: list[np.ndarray], kind: str) -> Curves:
+    q, p, v, again = _run(_curves_chunk, surface, columns, kind, 1)
+    return Curves(np.asarray(rows_of(ById(surface)).apex_stretch), q, p, v, again)
+
+
+def filling_volumes(surface: Surface, pressure) -> np.ndarray:
+    """The volumes V_0 of chambers that are filled to pressures p_0: the state at zero voltage of the smallest volume.
+
+    NaN where the surface holds none.
+
+    >>> from dielectric_jax import Membrane
+    >>> round(float(filling_volumes(Surface.build(Membrane()), 1.886612680245)), 9)
+    2.42
+    """
+    (volume,) = _run(_filling_chunk, surface, _columns(surface, {"initial_pressure": pressure}), "pressure", 0)
+    return volume

@@ -1,0 +1,335 @@
+"""Diagrams: branches, special points, and the ramp an experiment would see.
+
+`pressure_volume` holds the voltage, `voltage_volume` a chamber's filling or the pressure. All computing is dimensionless.
+"""
+
+import dataclasses
+
+import numpy as np
+
+from .branches import find_curves
+from .contours import OnSurface
+from .special_points import fold_events, special_points
+from ..model.equations import Shooting
+from ..model.loading import (
+    Chamber,
+    ChargeControl,
+    ConstantPressure,
+    ConstantVoltage,
+    Contour,
+    PrescribedVolume,
+    control_of,
+    mechanical,
+)
+from ..model.materials import field_on, largest_load
+from ..model.membrane import Membrane
+from ..plot.diagrams import plot_diagram
+from .ramp import build_ramp, build_way_back, flat_ramp
+from ..model.records import Branch, Ramp, SpecialPoint, State, events_table, plain, points_table
+from ..numerics.codes import Code, SceneError
+from ..model.scene import SCANNED_LOAD, Scene, Window, describe
+from .solved import Solved, special_record
+from .states import (
+    check_concrete,
+    check_reachable,
+    check_request,
+    check_surface,
+    flat_state,
+    states_of,
+    too_flat,
+)
+from .states import filling as filling_of
+from .stations import Curve
+from ..surface.surface import Surface
+from .tracing import warm_up
+from ..model.units import Units
+
+__all__ = ["Diagram", "pressure_volume", "voltage_volume"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Diagram:
+    """All branches of a scene in its window, their special points, and the ramp.
+
+    `complete` says whether scan and continuation agree on the branches of the scanned window, and each of these was followed
+    to the edge of the window.
+    """
+
+    kind: str
+    scene: Scene
+    branches: list[Branch]
+    special_points: list[SpecialPoint]
+    complete: bool
+    tolerance: float
+    limits: tuple
+    engine: str = "continuation"
+    voltage: float | None = None
+    contour: Contour | None = None
+    _up: Ramp | None = None
+    _down: Ramp | None = None
+    _solver: object = None
+
+    def ramp(self, direction: str = "up", start: State | None = None) -> Ramp:
+        """What a slow ramp of the control, voltage or charge, does: "up" from zero, or "down" from `start`.
+
+        By default the way down starts halfway in the control between the last landing (else the start) and the end of the way up.
+        Raises ValueError for a pressure–volume curve, and where there is no way down.
+        """
+        if direction not in ("up", "down"):
+            raise ValueError(f"`direction` must be 'up' or 'down', but is {direction!r}.")
+        if self._up is None:
+            raise ValueError("`ramp` must be asked of a voltage–volume diagram; a pressure–volume curve has none.")
+        if direction == "up":
+            if start is not None:
+                raise ValueError("`start` must be left out on the way up, which starts at zero voltage.")
+            return self._up
+        if start is not None:
+            return build_way_back(self._solver, start)
+        if self._down is None:
+            raise ValueError(
+                "`direction` must be 'up' here: the way up ends without an unbroken state to come back from."
+            )
+        return self._down
+
+    @property
+    def control(self) -> str:
+        """What a ramp changes: "voltage" or "charge"; "pressure" for a pressure–volume curve."""
+        return control_of(self.scene.loading)
+
+    @property
+    def events(self) -> tuple:
+        """Events of the way up, then of the way down."""
+        return (self._up.events if self._up else ()) + (self._down.events if self._down else ())
+
+    @property
+    def area_strain(self) -> float | None:
+        """(λa at breakdown / λa at the start)² − 1 of the ramp up, see `Ramp`."""
+        return self._up.area_strain if self._up else None
+
+    @property
+    def area_strain_reason(self) -> str | None:
+        """Why the area strain is taken where it is."""
+        return self._up.area_strain_reason if self._up else None
+
+    def gas_pressure(self, volume) -> np.ndarray | None:
+        """The pressure of the chamber's gas at `volume`; None where the pressure is held."""
+        if not isinstance(mechanical(self.scene.loading), Chamber) or self.contour is None:
+            return None
+        return np.asarray(self.contour.gas_pressure(np.asarray(volume, float)))
+
+    def plot(self, **options):
+        """The diagram as a matplotlib figure, see `plotting.plot_diagram`."""
+        return plot_diagram(self, **options)
+
+    def to_json(self, units: Units | None = None) -> dict:
+        """The JSON document of the contract; with `units` its quantities are in SI, named under "unit_names"."""
+        stretches, _, loads = self.limits
+        ramp = None if self._up is None else [e.to_json(self.control) for e in self.events]
+        control = {"control": "charge"} if self.control == "charge" else {}
+        document = plain(
+            {
+                "scene": describe(self.scene),
+                **control,
+                "units": "dimensionless",
+                "engine": self.engine,
+                "window": {
+                    "apex_stretch": list(stretches),
+                    "load_fraction": list(loads),
+                    "scanned_load_fraction": [loads[0], min(loads[1], SCANNED_LOAD)],
+                },
+                "complete": self.complete,
+                "tolerance": self.tolerance,
+                "branches": [b.to_json() for b in self.branches],
+                "special_points": [p.to_json() for p in self.special_points],
+                "ramp": ramp,
+                "area_strain": self.area_strain,
+                "area_strain_reason": self.area_strain_reason,
+            }
+        )
+        return document if units is None else units.to_document(document)
+
+    def _repr_html_(self) -> str:
+        units = self.scene.units
+        title = f"{self.kind}, {len(self.branches)} branches, {'complete' if self.complete else 'not complete'}"
+        told = points_table(self.special_points, title, units)
+        strain = "" if self.area_strain is None else f"area strain {self.area_strain:.6g} ({self.area_strain_reason})"
+        return told + (events_table(self.events, strain, units) if self.events else "")
+
+    def __repr__(self) -> str:
+        lines = [f"Diagram({self.kind}, engine={self.engine}, complete={self.complete}"]
+        lines += [f"  {b!r}" for b in self.branches]
+        lines += [f"  {p!r}" for p in self.special_points]
+        if self._up is not None:
+            strain = "none" if self.area_strain is None else f"{self.area_strain:.6g}"
+            path = " → ".join(e.event for e in self._up.events)
+            lines.append(f"  ramp: {path}; area strain {strain} ({self.area_strain_reason})")
+        return "\n".join(lines) + ")"
+
+
+_STATIONS = 256  # of a branch, at least: special points are sought between them
+
+
+def _branches(solved: Solved, points: int) -> list[Branch]:
+    """The records of all branches; one on which a special point is known to lie but was not met says so."""
+    lost = {branch for _, branch, *_ in solved.missed}
+    flags = [("special_point_lost",) if k in lost else () for k in range(len(solved.curves))]
+    return [_branch(c, solved.tolerance, points, more) for c, more in zip(solved.curves, flags, strict=True)]
+
+
+def _branch(curve: Curve, tolerance: float, points: int, more_flags: tuple) -> Branch:
+    """The record of a branch; fewer points than stations are thinned out of them."""
+    chosen = np.arange(len(curve.points))
+    if points < _STATIONS and len(chosen) > points:
+        chosen = np.unique(np.linspace(0, len(chosen) - 1, points).round().astype(int))
+    states = states_of(curve.points.take(chosen), tolerance)
+    columns = {f: np.array([getattr(s, f) for s in states]) for f in State.__dataclass_fields__ if f != "flags"}
+    columns["index"] = columns["index"].astype(int)
+    return Branch(**columns, start=curve.start, end=curve.end, flags=curve.flags + more_flags)
+
+
+def _solver(membrane: Membrane, contour: Contour, surface: Surface | None) -> Shooting | OnSurface:
+    """The engine of a diagram."""
+    return Shooting(membrane, contour) if surface is None else OnSurface(surface, contour)
+
+
+def _solve(solver, limits, kinds, points, tolerance, certify: bool, extend: bool) -> tuple[Solved, bool]:
+    count = max(points, _STATIONS)
+    curves, complete = find_curves(solver, limits, count=count, tolerance=tolerance, extend=extend)
+    if not curves:
+        raise SceneError(Code.no_equilibrium)
+    curves = [fold_events(kinds[0], solver, c, tolerance) for c in curves]
+    curves = [dataclasses.replace(c, points=solver.complete(c.points)) for c in curves]
+    located, missed = special_points(solver, curves, kinds, tolerance, certify=certify)
+    return Solved(solver, curves, located, missed, tolerance, certify), complete
+
+
+def pressure_volume(
+    membrane: Membrane,
+    voltage: float = 0.0,
+    *,
+    points: int = 256,
+    tolerance: float = 1e-9,
+    window: Window | None = None,
+    surface: Surface | None = None,
+    certify: bool = True,
+    extend: bool = True,
+) -> Diagram:
+    """The pressure–volume curve of a membrane at a fixed voltage: branches and folds in pressure.
+
+    Arguments: `voltage` Φ in units of H√(μ/ε); `points` a branch; `tolerance` of the error estimate; `surface`, `certify`
+    and `extend` as in `voltage_volume`.
+    Raises ValueError for bad input and SceneError where no tensile equilibrium lies in the window.
+
+    >>> curve = pressure_volume(Membrane(), voltage=0.0)
+    >>> sorted(round(p.pressure, 9) for p in curve.special_points if p.kind == "fold")
+    [1.361703319, 1.908684829]
+    """
+    check_request(points, tolerance)
+    scene = Scene(membrane, ConstantVoltage(voltage), window or Window())
+    check_concrete(scene)
+    check_surface(surface, membrane)
+    kinds = ("pressure_fold", "breakdown", "hoop_tension_loss")
+    solver = _solver(membrane, scene.loading.contour(), surface)
+    warm_up(membrane)
+    solved, complete = _solve(solver, scene.limits(), kinds, points, tolerance, certify, extend)
+    return _diagram("pressure-volume", scene, solved, complete, points, voltage=float(voltage))
+
+
+def voltage_volume(
+    scene: Scene,
+    *,
+    points: int = 256,
+    tolerance: float = 1e-9,
+    surface: Surface | None = None,
+    certify: bool = True,
+    extend: bool = True,
+) -> Diagram:
+    """The voltage–volume diagram of a membrane under a loading, with its special points and ramp.
+
+    The loading is a chamber, a constant pressure or a prescribed volume; under `ChargeControl` folds, indices and the ramp
+    are those of the charge.
+    Arguments: `points` a branch; `tolerance` of the error estimate, from 1e-12 to 1e-3. With a `surface` of the scene's
+    membrane, branches are contours on it, met by Newton without stepping; where they leave its domain shooting goes on,
+    or with `extend=False` they end there. `certify` polishes special points by shooting; the correction is part of their
+    error. Both mean nothing without a surface.
+    Raises ValueError for bad input and SceneError where no tensile equilibrium lies in the window.
+
+    >>> from dielectric_jax import Chamber
+    >>> scene = Scene(membrane=Membrane(), loading=Chamber(volume=1600.0, initial_volume=2.42))
+    >>> diagram = voltage_volume(scene)
+    >>> [event.event for event in diagram.ramp().events]
+    ['start', 'snap', 'landing', 'breakdown']
+    >>> round(diagram.ramp()["snap"][0].state.voltage, 9), round(diagram.area_strain, 4)
+    (0.07649536, 16.1219)
+    """
+    check_request(points, tolerance)
+    if not isinstance(scene, Scene):
+        raise ValueError(f"`scene` must be a Scene, but is a {type(scene).__name__}.")
+    check_concrete(scene)
+    loading = scene.loading
+    if isinstance(loading, ConstantVoltage):
+        raise ValueError("`loading` must not hold the voltage here, but is a ConstantVoltage; see pressure_volume.")
+    check_surface(surface, scene.membrane)
+    if surface is not None and isinstance(loading, ChargeControl):
+        raise ValueError("`surface` must be left out under charge control, which continuation follows.")
+    limits = scene.limits()
+    warm_up(scene.membrane)
+    filling = filling_of(scene, tolerance)
+    if filling == (0.0, 0.0):
+        return _flat_diagram(scene, limits, points, tolerance)
+    fold = "charge_fold" if isinstance(loading, ChargeControl) else "fold"
+    kinds = (fold, "zero_voltage", "breakdown", "hoop_tension_loss")
+    solver = _solver(scene.membrane, loading.contour(*filling), surface)
+    try:
+        solved, complete = _solve(solver, limits, kinds, points, tolerance, certify, extend)
+    except SceneError:
+        held = mechanical(loading)
+        if isinstance(held, ConstantPressure) and too_flat(scene.membrane, "pressure", float(held.pressure)):
+            raise SceneError(Code.near_flat) from None
+        if isinstance(held, PrescribedVolume):
+            check_reachable(scene.membrane, float(held.volume))
+        raise
+    up, down = build_ramp(solved, filling[1] if isinstance(mechanical(loading), Chamber) else None)
+    return _diagram("voltage-volume", scene, solved, complete, points, _up=up, _down=down)
+
+
+def _diagram(kind: str, scene: Scene, solved: Solved, complete: bool, points: int, **more) -> Diagram:
+    """The diagram of what was solved."""
+    engine = "surface" if isinstance(solved.solver, OnSurface) else "continuation"
+    special = [special_record(p, solved.tolerance) for p in solved.located]
+    fixed = {
+        "tolerance": solved.tolerance,
+        "limits": scene.limits(),
+        "contour": solved.solver.contour,
+        "engine": engine,
+    }
+    return Diagram(kind, scene, _branches(solved, points), special, complete, _solver=solved, **fixed, **more)
+
+
+def _flat_point(membrane: Membrane, q: float, kind: str) -> SpecialPoint:
+    values = vars(flat_state(membrane, q))
+    return SpecialPoint(**values, kind=kind, branch=0, position=q)
+
+
+def _flat_diagram(scene: Scene, limits, points: int, tolerance: float) -> Diagram:
+    """λ0 > 1 without pressure: one flat branch from the load window to the load at which the film goes slack."""
+    membrane = scene.membrane
+    stretch = float(membrane.prestretch)
+    slack = float(largest_load(membrane.material, stretch))
+    low, high = limits[2]
+    loads = np.linspace(low, min(high, 1.0), points) * slack
+    states = [flat_state(membrane, float(q)) for q in loads]
+    columns = {f: np.array([getattr(s, f) for s in states]) for f in State.__dataclass_fields__ if f != "flags"}
+    columns["index"] = columns["index"].astype(int)
+    ends_slack = high >= 1.0
+    branch = Branch(
+        **columns, start=Code.window_load, end=Code.window_load, flags=("ends_slack",) if ends_slack else ()
+    )
+    limit = float(field_on(membrane.breakdown, stretch)) ** 2 / stretch**4
+    marks = [("zero_voltage", 0.0)] if low <= 0 <= high else []
+    marks += [("breakdown", limit)] if limit <= min(high, 1.0) * slack else []
+    marks += [("slack", slack)] if ends_slack else []
+    special = [_flat_point(membrane, q, kind) for kind, q in sorted(marks, key=lambda m: m[1])]
+    return Diagram(
+        "voltage-volume", scene, [branch], special, True, tolerance, limits, _up=flat_ramp(special, states[-1])
+    )

@@ -1,0 +1,385 @@
+"""Special points of a branch, located to solver tolerance: roots of event functions between neighbouring points.
+
+Each event function is bracketed by neighbours (a pair of roots hidden in one interval is looked for in the Hermite
+interpolant of q or p and split first). A cubic through four neighbours predicts the root and the slope there; a secant
+method that keeps its bracket goes on from it, on planes across the chord, every trial an exact point of the branch. All
+roots advance together.
+"""
+
+import concurrent.futures
+import dataclasses
+
+import numpy as np
+from scipy.optimize import root_scalar
+
+from .contours import OnSurface
+from ..model.equations import SCALE, Points
+from .events import FOLDS, brackets, control_line, event_values
+from .stations import Curve, between, hermite, scaled, solve_between
+
+__all__ = ["Located", "fold_events", "loads_beside_folds", "locate", "special_points"]
+
+
+_ROUNDS = 16
+# changes of the share of an interval at which the line through the last two trials takes a root the rest of the way, and
+# at which nothing is left to do; and between them that at which the slopes of the neighbours do as well as a last trial
+_CLOSE, _EXACT, _SMALL = 1e-6, 1e-10, 2e-7
+
+
+@dataclasses.dataclass
+class Located:
+    """One root on a branch: its kind, the arclength of the branch there, the state (one lane), its error estimate."""
+
+    kind: str
+    branch: int
+    position: float
+    point: Points
+    error: float
+
+
+def fold_events(kind: str, solver, curve: Curve, tolerance: float) -> Curve:
+    """The curve with points added where the control on one interval has a hidden pair of folds."""
+    for _ in range(3):
+        x, t = control_line(curve.points, FOLDS[kind])
+        gap = np.diff(curve.position)
+        share = np.linspace(0, 1, 9)[1:-1, None]
+        step = 1e-4
+        slope = hermite(x[:-1], x[1:], t[:-1], t[1:], gap, share + step) - hermite(
+            x[:-1], x[1:], t[:-1], t[1:], gap, share - step
+        )
+        hidden = (t[:-1] * t[1:] > 0) & ((slope * np.sign(t[:-1])) < 0).any(axis=0)
+        if not hidden.any():
+            break
+        i = np.flatnonzero(hidden)
+        middle = solve_between(solver, curve.points, i, np.full(len(i), 0.5), tolerance=tolerance)
+        ok = np.flatnonzero(middle.ok & (middle.error <= tolerance))
+        place = np.concatenate([np.arange(len(curve.points)), i[ok] + 0.5])
+        points = Points.join([curve.points, middle.take(ok)]).take(np.argsort(place, kind="stable"))
+        gap = np.linalg.norm(np.diff(scaled(points.u.T), axis=0), axis=1)
+        curve = dataclasses.replace(curve, points=points, position=np.concatenate([[0.0], np.cumsum(gap)]))
+        if not len(ok):
+            break
+    return curve
+
+
+def locate(solver, curves: list[Curve], wanted: list[tuple], tolerance: float, *, certify: bool = True):
+    """Roots for `wanted` = (kind, branch, interval, target), and those of `wanted` that were not met to tolerance.
+
+    On a surface, roots are met there first; with `certify` shooting then starts from them, and what it corrects is part
+    of their error.
+    """
+    if not isinstance(solver, OnSurface):
+        found, missed = _locate(solver, curves, wanted, tolerance, {})
+        return list(found.values()), missed
+    easy = [w for w in wanted if w[0] not in solver.shot_kinds]
+    near, _ = _locate(dataclasses.replace(solver, alone=True), curves, easy, tolerance, {})
+    shot = wanted if certify else [w for w in wanted if w not in near]
+    found, missed = _locate(solver.shooting, curves, shot, tolerance, near)
+    for w, root in near.items():
+        if w in found:
+            column = 1 if w[0] == "pressure_fold" else 2
+            seen, exact = (
+                r.point.volume[0] if w[0] == "zero_voltage" else r.point.u[column, 0] for r in (root, found[w])
+            )
+            found[w].error = max(found[w].error, abs(float(seen - exact)) / max(abs(float(exact)), 1e-3))
+        elif not certify:
+            found[w] = dataclasses.replace(root, point=_with_index(curves[w[1]], w[2], root, solver.contour.control))
+    return list(found.values()), missed
+
+
+def _with_index(curve: Curve, interval: int, root: Located, control: int) -> Points:
+    """The point of a root with what its neighbour on the same side of any fold knows: index and least hoop tension."""
+    ends = curve.points.take(slice(interval, interval + 2))
+    same = root.point.tangent[0, control] * ends.tangent[0, control] > 0 or "fold" in root.kind
+    return dataclasses.replace(root.point, index=ends.index[[0 if same else 1]], hoop=ends.hoop[[0 if same else 1]])
+
+
+def _locate(solver, curves, wanted, tolerance, near: dict):
+    """Roots by their place in `wanted`, and those not met; `near` holds roots to start from.
+
+    A given load is a row of Newton's system and takes one solve; the other events, and a load that this fails for, take
+    the secant method.
+    """
+    loads = [w for w in wanted if w[0] in ("zero_voltage", "load")]
+    rest = [w for w in wanted if w not in loads]
+    with concurrent.futures.ThreadPoolExecutor(1) as pool:
+        job = pool.submit(_locate_loads, solver, curves, loads, tolerance)
+        roots, missed = _locate_roots(solver, curves, rest, tolerance, near)
+        found, again = job.result()
+    more, lost = _locate_roots(solver, curves, again, tolerance, near)
+    return found | roots | more, missed + lost
+
+
+def _hermite_roots(x0, x1, t0, t1, gap, target) -> np.ndarray:
+    """Share of each interval at which the cubic Hermite interpolant takes the target between its ends; by bisection."""
+    low, high = np.zeros_like(x0), np.ones_like(x0)
+    sign = np.where(x0 < target, 1.0, -1.0)
+    for _ in range(40):
+        middle = (low + high) / 2
+        below = (hermite(x0, x1, t0, t1, gap, middle) - target) * sign < 0
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    return (low + high) / 2
+
+
+def _predict(curve: Curve, kind: str, interval: int, target: float):
+    """Root and slope, in shares of the interval, of the cubic through the event function at four neighbours.
+
+    An event function may be a least value that changes from one place of the membrane to another on the interval: the root
+    then belongs to the side where the function is negative, and so do the four.
+    """
+    count = len(curve.points)
+    values = event_values(kind, curve.points.take(slice(max(interval - 3, 0), interval + 5)), target)
+    start = max(interval - 3, 0)
+    f0, f1 = values[interval - start], values[interval + 1 - start]
+    chord = -f0 / (f1 - f0), f1 - f0
+    gap = curve.position[interval + 1] - curve.position[interval]
+
+    def cubic(first):
+        if first < 0 or first + 4 > count or not np.isfinite(values[first - start : first - start + 4]).all():
+            return None
+        x = (curve.position[first : first + 4] - curve.position[interval]) / gap
+        matrix = np.vander(x, increasing=True)
+        return np.polynomial.Polynomial(np.linalg.solve(matrix, values[first - start : first - start + 4]))
+
+    def root(poly):
+        low, high = 0.0, 1.0
+        for _ in range(50):
+            middle = (low + high) / 2
+            low, high = (middle, high) if (poly(middle) < 0) == (f0 < 0) else (low, middle)
+        return low, poly.deriv()(low)
+
+    centred, sided = cubic(interval - 1), cubic(interval + 1 if f1 < 0 else interval - 3)
+    if sided is not None:
+        seen = sided(0.0) - f0 if f1 < 0 else sided(1.0) - f1
+        if centred is None or seen > 0.1 * abs(f1 - f0):
+            return root(sided)
+    return chord if centred is None else root(centred)
+
+
+def _fold_share(curve: Curve, kind: str, interval: int) -> tuple[float, float] | None:
+    """Share of the interval at which the control turns, and the slope of the tangent's component there by the share.
+
+    From ten neighbours; None where they do not run one way.
+
+    Their coordinates are exact and analytic in each other, while tangents carry the error of Newton's grid.
+    """
+    first = min(max(interval - 4, 0), len(curve.points) - 10)
+    if first < 0:
+        return None
+    x = scaled(curve.points.u[:, first : first + 10].T)
+    column = FOLDS[kind]
+    along = max((c for c in range(3) if c != column), key=lambda c: abs(curve.points.tangent[interval, c]))
+    if column == 3:
+        near = curve.points.take(slice(first, first + 10))
+        x = np.column_stack([x, near.control(3) / (near.charge_per_voltage[interval - first] ** 2 * SCALE[2])])
+    middle, half = (x[0, along] + x[-1, along]) / 2, (x[-1, along] - x[0, along]) / 2
+    s = (x[:, along] - middle) / half
+    if not (np.diff(s) > 0).all():
+        return None
+    line = [np.polynomial.Polynomial(c) for c in np.linalg.solve(np.vander(s, increasing=True), x).T]
+    slope, i = line[column].deriv(), interval - first
+    if not slope(s[i]) * slope(s[i + 1]) < 0:
+        return None
+    chord = x[i + 1, :3] - x[i, :3]
+    root = root_scalar(slope, bracket=(s[i], s[i + 1]), xtol=1e-13).root
+    at, rate = (np.array([f(root) for f in lines[:3]]) for lines in (line, [f.deriv() for f in line]))
+    per_share = (chord @ chord) / (rate @ chord)
+    return float((at - x[i, :3]) @ chord / (chord @ chord)), float(
+        slope.deriv()(root) / np.linalg.norm(rate) * per_share * np.sign(per_share)
+    )
+
+
+def _shifted(curve: Curve, interval: int, point: Points, share: float, move: float) -> Points:
+    """The state of one lane at a share of the interval moved a little, along its tangent and its neighbours' slopes."""
+    first = min(max(interval - 1, 0), len(curve.points) - 4)
+    gap = curve.position[interval + 1] - curve.position[interval]
+    x = (curve.position[first : first + 4] - curve.position[interval]) / gap
+    weights = np.linalg.solve(np.vander(x, increasing=True).T, [0.0, 1.0, 2 * share, 3 * share**2])
+    chord = scaled(curve.points.u[:, interval + 1] - curve.points.u[:, interval])
+    rate = gap * gap / (point.tangent[0] @ chord)
+    moved = {"u": point.u + move * rate * (point.tangent * SCALE).T}
+    for name in ("volume", "height", "charge_per_voltage", "hoop", "field"):
+        moved[name] = getattr(point, name) + move * (getattr(curve.points, name)[first : first + 4] @ weights)
+    return dataclasses.replace(point, **moved)
+
+
+def _locate_loads(solver, curves, wanted, tolerance):
+    """States at given loads by one Newton solve each; and the wanted ones it failed for."""
+    if not wanted:
+        return {}, []
+    ends = Points.join([curves[b].points.take(np.array([i, i + 1])) for _, b, i, _ in wanted])
+    first = 2 * np.arange(len(wanted))
+    x, t = scaled(ends.u.T), ends.tangent
+    gap = np.linalg.norm(x[first + 1] - x[first], axis=1)
+    target = np.array([w[3] for w in wanted])
+    share = _hermite_roots(x[first, 2], x[first + 1, 2], t[first, 2], t[first + 1, 2], gap, target / SCALE[2])
+    at, normal, _ = between(ends, first, share)
+    rows = np.tile([0.0, 0.0, 1.0], (len(wanted), 1))
+    points = solver.polish((at * SCALE).T, rows, target, tolerance=tolerance / 2, reach=0.5)
+    points.tangent = points.tangent * np.where((points.tangent * normal).sum(axis=1) < 0, -1.0, 1.0)[:, None]
+    along = (normal * (scaled(points.u.T) - x[first])).sum(axis=1)
+    ok = points.ok & (along > -1e-6) & (along < gap + 1e-6) & (points.error <= tolerance)
+    found = {
+        w: Located(
+            w[0],
+            w[1],
+            float(curves[w[1]].position[w[2]] + along[n] / gap[n] * np.diff(curves[w[1]].position[w[2] : w[2] + 2])[0]),
+            points.take(np.array([n])),
+            float(points.error[n]),
+        )
+        for n, w in enumerate(wanted)
+        if ok[n]
+    }
+    return found, [w for n, w in enumerate(wanted) if not ok[n]]
+
+
+def _locate_roots(solver, curves, wanted, tolerance, near: dict):
+    """Roots of event functions by a secant method that keeps its brackets; and the wanted ones it failed for."""
+    if not wanted:
+        return {}, []
+    ends = Points.join([curves[b].points.take(np.array([i, i + 1])) for _, b, i, _ in wanted])
+    lanes = np.arange(len(wanted))
+    first = 2 * lanes
+    gap = np.array([curves[b].position[i + 1] - curves[b].position[i] for _, b, i, _ in wanted])
+
+    def values(points, which):
+        return np.array(
+            [event_values(wanted[n][0], points.take(np.array([k])), wanted[n][3])[0] for k, n in enumerate(which)]
+        )
+
+    low, high = np.zeros(len(wanted)), np.ones(len(wanted))
+    f_low, f_high = values(ends.take(first), lanes), values(ends.take(first + 1), lanes)
+    share, slope = np.array([_predict(curves[b], kind, i, target) for kind, b, i, target in wanted]).T
+    for n, (kind, branch, i, _) in enumerate(wanted):
+        if "fold" in kind and (better := _fold_share(curves[branch], kind, i)) is not None:
+            share[n], slope[n] = better
+        if wanted[n] in near:
+            share[n] = (near[wanted[n]].position - curves[branch].position[i]) / gap[n]
+    last, f_last = np.full(len(wanted), np.nan), np.full(len(wanted), np.nan)
+    change = np.full(len(wanted), np.inf)
+    # a least value along the membrane has kinks: its neighbours may tell nothing
+    smooth = np.array([kind != "hoop_tension_loss" and len(curves[b].points) >= 4 for kind, b, _, _ in wanted])
+    trials: list[list[Points]] = [[] for _ in wanted]
+    active = lanes
+    for _ in range(_ROUNDS):
+        at = share[active]
+        found = solve_between(
+            solver,
+            ends,
+            first[active],
+            at,
+            tolerance=tolerance / 2,
+            refine=np.array([_is_fine(wanted[n][0]) for n in active]),
+        )
+        f = values(found, active)
+        below = ((f < 0) == (f_low[active] < 0)) & np.isfinite(f)
+        above = ~below & np.isfinite(f)
+        low[active[below]], f_low[active[below]] = at[below], f[below]
+        high[active[above]], f_high[active[above]] = at[above], f[above]
+        with np.errstate(all="ignore"):
+            secant = (f - f_last[active]) / (at - last[active])
+            apart = np.isfinite(secant) & (secant != 0) & (np.abs(at - last[active]) > _CLOSE)
+            slope[active] = np.where(apart, secant, slope[active])
+            new = at - f / slope[active]
+        # a step that leaves the bracket is a bisection
+        fair = np.isfinite(new) & (new >= low[active] - _CLOSE) & (new <= high[active] + _CLOSE)
+        new = np.where(fair, new, (low[active] + high[active]) / 2)
+        change[active] = np.abs(new - at)
+        for k, n in enumerate(active):
+            trials[n] = [*trials[n][-1:], found.take(np.array([k]))]
+        first_try, later = (np.where(smooth[active], limit, _EXACT) for limit in (_SMALL, _CLOSE))
+        done = change[active] < np.where(np.isfinite(last[active]), later, first_try)
+        for k in np.flatnonzero(done):
+            n = active[k]
+            if len(trials[n]) > 1 and change[n] > _EXACT:
+                before, latest = trials[n]
+                trials[n][-1] = _line(before, latest, (new[k] - last[n]) / (at[k] - last[n]))
+                share[n] = new[k]
+                change[n] *= abs(at[k] - last[n]) + change[n]
+            elif change[n] > _EXACT:
+                _, branch, i, _ = wanted[n]
+                trials[n][-1] = _shifted(curves[branch], i, trials[n][-1], at[k], new[k] - at[k])
+                share[n] = new[k]
+                change[n] *= 1e-2  # slopes are right to a few digits
+        last[active], f_last[active] = at, f
+        active, new = active[~done], new[~done]
+        if not len(active):
+            break
+        share[active] = new
+    out, missed = {}, []
+    for n, (kind, branch, i, _) in enumerate(wanted):
+        point = trials[n][-1]
+        if not point.ok[0] or not change[n] < 1e-5:
+            missed.append(wanted[n])
+            continue
+        # what the remaining step along the branch would change in the located quantity
+        along = change[n] * gap[n] * np.abs(point.tangent[0] * SCALE) / np.maximum(np.abs(point.u[:, 0]), 1e-3)
+        if "fold" in kind:
+            rest = along[min(FOLDS[kind], 2)] * change[n]
+        else:
+            rest = along[1] if kind == "zero_voltage" else along[1:].max()
+        position = curves[branch].position[i] + share[n] * gap[n]
+        out[wanted[n]] = Located(kind, branch, float(position), point, float(max(point.error[0], rest)))
+    return out, missed
+
+
+def _is_fine(kind: str) -> bool:
+    """Whether an event's function wants a finer grid than the state: the slope of a fold, a stress along the membrane."""
+    return kind in FOLDS or kind == "hoop_tension_loss"
+
+
+def _line(before: Points, last: Points, along: float) -> Points:
+    """The states of one lane on the line through two of them: `along` is 0 at the one before and 1 at the last."""
+    moved = {}
+    for f in dataclasses.fields(Points):
+        a, b = getattr(before, f.name), getattr(last, f.name)
+        moved[f.name] = a + along * (b - a) if f.name not in ("index", "error", "ok") else b
+    return Points(**moved)
+
+
+def special_points(solver, curves: list[Curve], kinds: tuple[str, ...], tolerance: float, *, certify: bool = True):
+    """All special points of the named kinds on all branches, in order along each branch; and (kind, branch, …) missed."""
+    wanted = [
+        (kind, branch, int(i), 0.0)
+        for branch, curve in enumerate(curves)
+        for kind in kinds
+        for i in brackets(curve, kind)
+    ]
+    found, missed = locate(solver, curves, wanted, tolerance, certify=certify)
+    if "zero_voltage" in kinds:
+        more = loads_beside_folds(solver, curves, found, "zero_voltage", 0.0, tolerance, certify=certify)
+        found, missed = found + more[0], missed + more[1]
+    return sorted(found, key=lambda p: (p.branch, p.position)), missed
+
+
+def loads_beside_folds(solver, curves, located, kind: str, target: float, tolerance: float, *, certify: bool = True):
+    """States at a load that two neighbours do not bracket, but a located fold between them does; and those not met.
+
+    A fold nearer to zero voltage than its own error does not say whether there are such states: it counts as not met.
+    """
+    lines, wanted, missed = list(curves), [], []
+    for fold in located:
+        if fold.kind not in ("fold", "charge_fold"):
+            continue
+        line, column = lines[fold.branch], FOLDS[fold.kind]
+        load = float(fold.point.control(column)[0])
+        i = int(np.searchsorted(line.position, fold.position)) - 1
+        if not 0 <= i < len(line.position) - 1:
+            continue
+        above = line.points.control(column)[i : i + 2] > target
+        doubt = fold.error * max(abs(load), 1e-3)
+        if above[0] != above[1]:
+            continue
+        if abs(load - target) <= doubt:
+            missed += [(kind, fold.branch, i, target)] if kind == "zero_voltage" else []
+        if abs(load - target) <= doubt or above[0] == (load > target):
+            continue
+        points = Points.join([line.points.take(slice(0, i + 1)), fold.point, line.points.take(slice(i + 1, None))])
+        position = np.insert(line.position, i + 1, fold.position)
+        lines[fold.branch] = dataclasses.replace(line, points=points, position=position)
+        wanted = [(k, b, n + (b == fold.branch and n > i), at) for k, b, n, at in wanted]
+        wanted += [(kind, fold.branch, i, target), (kind, fold.branch, i + 1, target)]
+    if not wanted:
+        return [], missed
+    found, lost = locate(solver, lines, wanted, tolerance, certify=certify)
+    return found, missed + lost

@@ -1,0 +1,199 @@
+"""The compiled programs of a membrane, each for a fixed number of lanes, and how any number of points goes through them."""
+
+import collections
+import concurrent.futures
+import functools
+import os
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..numerics.compiled import kept_jit
+from .materials import ArrudaBoyce, Gent, NeoHookean, stresses
+from .membrane import Membrane, field_ratio_squared, slopes
+from .shooting import COLUMNS, eighth_order_step, integrate_membrane
+
+__all__ = ["careful_program", "charge_program", "compile_ahead", "jacobian_program", "run_chunks", "value_program"]
+
+CHUNK = 32  # lanes of one call; one compiled program serves every count of points
+
+
+@kept_jit
+def jacobian_program(material, u, steps):
+    """lag, V, their columns by (λa, p, q), and the number of zeros of ∂λ2/∂λa in 0 < R < 1."""
+    apex, p, q = u
+    shot = integrate_membrane(material, apex, p, q, steps, columns=COLUMNS, trail="sensitivity")
+    times, sensitivity = shot.trail
+    change = jnp.isfinite(times[1:])[:, None] & (sensitivity[1:] * sensitivity[:-1] < 0)
+    columns = jnp.stack([jnp.stack(shot.columns[c]) for c in COLUMNS])
+    return shot.lag, shot.volume, columns, jnp.sum(change, axis=0)
+
+
+@kept_jit
+def charge_program(material, u, steps):
+    """C = Q/Φ and its derivatives (3, lanes) by (λa, p, q)."""
+    apex, p, q = u
+    shot = integrate_membrane(material, apex, p, q, steps, columns=COLUMNS, outputs=True)
+    return shot.charge, jnp.stack([shot.columns[c][2] for c in COLUMNS])
+
+
+def _least_inside(values, rates):
+    """The least of the quintic Hermite interpolants about each inner node that is lower than its neighbours.
+
+    `values` and `rates` (per step) are (nodes, lanes) at equal steps. Returns the value (+inf where there is none), the
+    node it belongs to, and its place in steps from that node.
+    """
+    before, here, after = values[:-2], values[1:-1], values[2:]
+    low = (here <= before) & (here <= after) & jnp.isfinite(before) & jnp.isfinite(after)
+    before, after = jnp.where(low, before, here), jnp.where(low, after, here)
+    slope = rates[1:-1]
+    even, odd = (after + before) / 2 - here, (after - before) / 2 - slope
+    rise, lift = (rates[2:] - rates[:-2]) / 2, (rates[2:] + rates[:-2]) / 2 - slope
+    a4, a5 = (rise - 2 * even) / 2, (lift - 3 * odd) / 2
+    a2, a3 = even - a4, odd - a5
+    x = jnp.zeros_like(here)
+    for _ in range(5):
+        first = slope + x * (2 * a2 + x * (3 * a3 + x * (4 * a4 + x * 5 * a5)))
+        second = 2 * a2 + x * (6 * a3 + x * (12 * a4 + x * 20 * a5))
+        x = jnp.clip(x - first / jnp.where(low & (second != 0), second, 1.0), -1.0, 1.0)
+    least = here + x * (slope + x * (a2 + x * (a3 + x * (a4 + x * a5))))
+    least = jnp.where(low, jnp.minimum(least, here), jnp.inf)
+    node = jnp.argmin(least, axis=0)
+    return jnp.min(least, axis=0), node + 1, jnp.take_along_axis(x, node[None], axis=0)[0]
+
+
+_BLOCK = 32  # steps of a trail that are searched together; only as many blocks as there are steps
+
+
+@kept_jit
+def careful_program(membrane, u, exponent):
+    """lag, V, height and C = Q/Φ by adaptive steps."""
+    apex, p, q = u
+    shot = integrate_membrane(membrane.material, apex, p, q, exponent, outputs=True, adaptive=True)
+    return shot.lag, shot.volume, shot.height, shot.charge
+
+
+@kept_jit
+def value_program(membrane, u, steps):
+    """lag, V, height, C = Q/Φ, least σ2 and largest (E/E_EB)²/q along the membrane, stretches admissible, and elliptic."""
+    apex, p, q = u
+    material = membrane.material
+    shot = integrate_membrane(material, apex, p, q, steps, outputs=True, trail="profile")
+    times, values, along = shot.trail
+    # blocks overlap by two nodes, so that every inner node has both neighbours in one
+    padding = -(len(times) - 2) % _BLOCK
+    times = jnp.pad(times, (0, padding), constant_values=jnp.inf)
+    values = jnp.pad(values, ((0, padding), (0, 0), (0, 0)))
+
+    def hoop(l1, l2):
+        return l2 * stresses(material, l1, l2, q)[1]
+
+    def field(l1, l2):
+        return -field_ratio_squared(membrane.breakdown, l1, l2)
+
+    functions = (hoop, field)
+
+    def is_elliptic(l1, l2):
+        # W(I1) with W' > 0 and W'' ≥ 0 is elliptic wherever it is in tension
+        if isinstance(material, (Gent, NeoHookean, ArrudaBoyce)):
+            return jnp.ones_like(l1, bool)
+        s1, _, s11, _ = stresses(material, l1, l2, q)
+        return (s1 > 0) & (s11 > 0)
+
+    def search(block, found):
+        least, places, admissible, elliptic = found
+        begin = block * _BLOCK
+        tau = jax.lax.dynamic_slice_in_dim(times, begin, _BLOCK + 2)
+        rows = jax.lax.dynamic_slice_in_dim(values, begin, _BLOCK + 2)
+        done = jnp.isfinite(tau)[:, None]
+        radius, stretching, l1, l2, theta = along.rows(tau, jnp.where(done[..., None], rows, 0.0))
+        rate1, rate2, _ = slopes(material, radius, l1, l2, theta, p, q)
+        new_least, new_places = [], []
+        for function, old, (old_node, old_x) in zip(functions, least, places, strict=True):
+            value, rate = jax.jvp(function, (l1, l2), (rate1, rate2))
+            value = jnp.where(done, value, jnp.inf)
+            inner, node, x = _least_inside(value, jnp.where(done, rate * stretching / steps, 0.0))
+            at_node = jnp.min(value, axis=0)
+            best = jnp.minimum(old, jnp.minimum(inner, at_node))
+            node = jnp.where(inner < at_node, begin + node, 0)
+            new_places.append((jnp.where(best < old, node, old_node), jnp.where(best < old, x, old_x)))
+            new_least.append(best)
+        inside = jnp.all(material.admissible(l1, l2) | ~done, axis=0)
+        elliptic &= jnp.all(is_elliptic(l1, l2) | ~done, axis=0)
+        return new_least, new_places, admissible & inside, elliptic
+
+    count = jnp.sum(jnp.isfinite(times))
+    nowhere = (jnp.zeros(apex.shape, int), jnp.zeros(apex.shape))
+    begin = [f(apex, apex) for f in functions], [nowhere] * 2, material.admissible(apex, apex), is_elliptic(apex, apex)
+    least, places, admissible, elliptic = jax.lax.fori_loop(0, (count - 2 + _BLOCK - 1) // _BLOCK, search, begin)
+
+    def rates(tau, y):
+        radius, stretching = along.position(tau)
+        rate1, rate2, bend = slopes(material, radius, apex + y[0], apex + y[1], y[2], p, q)
+        return stretching * jnp.stack([rate1, rate2, bend])
+
+    # at an inner extreme the interpolant only says where: one step of the solver from the node says how much
+    for k, (function, (node, x)) in enumerate(zip(functions, places, strict=True)):
+        inner = node > 0
+        tau = jnp.where(inner, times[node], 0.5)
+        y = jnp.take_along_axis(values, node[None, None], axis=0)[0]
+        y = eighth_order_step(rates, tau, jnp.where(inner, x / steps, 0.0), y)
+        least[k] = jnp.where(inner, function(apex + y[0], apex + y[1]), least[k])
+    return shot.lag, shot.volume, shot.height, shot.charge, least[0], -least[1], admissible, elliptic
+
+
+def cores() -> int:
+    """How many cores batches use: the environment variable DIELECTRIC_JAX_CORES, else those this process may run on."""
+    asked = os.environ.get("DIELECTRIC_JAX_CORES", "")
+    if not asked:
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if not asked.isdecimal() or int(asked) < 1:
+        raise ValueError(f"`DIELECTRIC_JAX_CORES` must be a number of cores, at least 1, but is {asked!r}.")
+    return int(asked)
+
+
+@functools.cache
+def threads() -> concurrent.futures.ThreadPoolExecutor:
+    """One thread a core, for work that waits for no other of these threads."""
+    return concurrent.futures.ThreadPoolExecutor(cores())
+
+
+_compiling: collections.OrderedDict = collections.OrderedDict()
+_MOST_KINDS = 16  # of membranes whose compiling is remembered
+
+
+def compile_ahead(membrane: Membrane, more: tuple[Callable, ...] = ()) -> None:
+    """Starts compiling the programs of this kind of membrane side by side, and `more`; `polish` waits for its own."""
+    key = jax.tree.structure(membrane)
+    if key not in _compiling:
+        u = np.tile(np.array([[float(membrane.prestretch) + 0.1], [0.1], [0.0]]), (1, CHUNK))
+        jobs = (
+            *more,
+            lambda: jacobian_program(membrane.material, u, 2.0),
+            lambda: value_program(membrane, u, 2.0),
+        )
+        pool = concurrent.futures.ThreadPoolExecutor(len(jobs))
+        _compiling[key] = [pool.submit(job) for job in jobs]
+        pool.shutdown(wait=False)
+        while len(_compiling) > _MOST_KINDS:
+            _compiling.popitem(last=False)
+
+
+def await_programs(membrane: Membrane) -> None:
+    for job in _compiling.get(jax.tree.structure(membrane), ()):
+        job.result()
+
+
+def run_chunks(program: Callable, u: np.ndarray) -> list[np.ndarray]:
+    """`program` on lanes u of shape (3, lanes), in chunks of one compiled shape, on all cores."""
+    count = u.shape[1]
+    u = np.pad(u, ((0, 0), (0, -count % CHUNK)), mode="edge")
+    parts = [u[:, i : i + CHUNK] for i in range(0, u.shape[1], CHUNK)]
+
+    def work(part):
+        return [np.asarray(v) for v in program(part)]
+
+    done = [work(parts[0]), *(threads().map(work, parts[1:]) if len(parts) > 1 else [])]
+    return [np.concatenate(pieces, axis=-1)[..., :count] for pieces in zip(*done, strict=True)]

@@ -1,0 +1,225 @@
+"""What an answer is made of: states along branches, special points, events of a ramp.
+
+Plain NumPy on the host, the same shape whichever engine computed it, and the JSON of it.
+"""
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+
+from ..numerics.codes import Code
+from .tables import html_table
+
+# what tables of states show
+_TOLD = (
+    "voltage",
+    "pressure",
+    "volume",
+    "apex_stretch",
+    "height",
+    "charge",
+    "breakdown_ratio",
+    "index",
+    "error_estimate",
+)
+__all__ = ["QUANTITIES", "Branch", "Event", "Ramp", "SpecialPoint", "State", "events_table", "points_table"]
+
+#: the columns of a branch, in the order of the JSON document
+QUANTITIES = (
+    "voltage_squared",
+    "pressure",
+    "volume",
+    "apex_stretch",
+    "height",
+    "charge",
+    "breakdown_ratio",
+    "index",
+    "error_estimate",
+)
+
+
+def plain(value: Any) -> Any:
+    """A JSON value: NaN and infinity become None, NumPy scalars Python's."""
+    if isinstance(value, (list, tuple)):
+        return [plain(v) for v in value]
+    if isinstance(value, np.ndarray):
+        return [plain(v) for v in value.tolist()]
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, np.integer):
+        return int(value)
+    if isinstance(value, np.bool_):
+        return bool(value)
+    if isinstance(value, dict):
+        return {k: plain(v) for k, v in value.items()}
+    return value
+
+
+def voltage_of(voltage_squared):
+    """Φ = √q; NaN where q < 0, which no voltage reaches."""
+    q = np.asarray(voltage_squared, dtype=float)
+    return np.sqrt(np.where(q >= 0, q, np.nan))
+
+
+@dataclasses.dataclass(frozen=True)
+class State:
+    """One equilibrium, dimensionless. `index` is None where it is not defined (at a fold) or not valid."""
+
+    voltage_squared: float
+    pressure: float
+    volume: float
+    apex_stretch: float
+    height: float
+    charge: float
+    breakdown_ratio: float
+    index: int | None
+    error_estimate: float
+    flags: tuple[str, ...] = ()
+
+    @property
+    def voltage(self) -> float:
+        """Φ = √q, NaN where q < 0."""
+        return float(voltage_of(self.voltage_squared))
+
+    def to_json(self) -> dict:
+        """The state under the names of the JSON contract; null where a quantity has no meaning."""
+        out: dict[str, Any] = {"voltage_squared": self.voltage_squared, "voltage": self.voltage}
+        for name in QUANTITIES[1:]:
+            out[name] = getattr(self, name)
+        out["flags"] = list(self.flags)
+        return plain(out)
+
+    def _repr_html_(self) -> str:
+        heads = ("kind", *_TOLD) if isinstance(self, SpecialPoint) else _TOLD
+        return html_table([h.replace("_", " ") for h in heads], [[getattr(self, n) for n in heads]])
+
+    def __repr__(self) -> str:
+        index = "" if self.index is None else f", index={self.index}"
+        return (
+            f"{type(self).__name__}(voltage={self.voltage:.8g}, pressure={self.pressure:.8g}, volume={self.volume:.8g}, "
+            f"apex_stretch={self.apex_stretch:.8g}{index}, error_estimate={self.error_estimate:.1e})"
+        )
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class SpecialPoint(State):
+    """A located point of a branch: `kind` is fold, zero_voltage, breakdown, hoop_tension_loss or slack."""
+
+    kind: str = ""
+    branch: int = 0
+    #: arclength along the branch, for ordering; not part of the JSON
+    position: float = 0.0
+
+    def to_json(self) -> dict:
+        """Kind and branch, then the state."""
+        return {"kind": self.kind, "branch": self.branch} | super().to_json()
+
+    def __repr__(self) -> str:
+        return super().__repr__().replace("(", f"({self.kind!r}, branch={self.branch}, ", 1)
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class Branch:
+    """A curve of equilibria: one array of shape (points,) for each of `QUANTITIES`, and why it starts and ends.
+
+    `flags` lists what a reader must know of the branch as a whole: "error_above_tolerance"; "points_lost", a gap between
+    stations; "end_lost", an end inside the scanned window that was not reached; "special_point_lost", a special point that is bracketed but was not met.
+    """
+
+    voltage_squared: np.ndarray
+    pressure: np.ndarray
+    volume: np.ndarray
+    apex_stretch: np.ndarray
+    height: np.ndarray
+    charge: np.ndarray
+    breakdown_ratio: np.ndarray
+    index: np.ndarray
+    error_estimate: np.ndarray
+    start: Code
+    end: Code
+    flags: tuple[str, ...] = ()
+
+    @property
+    def voltage(self) -> np.ndarray:
+        """Φ = √q, NaN where q < 0."""
+        return voltage_of(self.voltage_squared)
+
+    def __len__(self) -> int:
+        return len(self.pressure)
+
+    def to_json(self) -> dict:
+        """Columns under the names of the JSON contract."""
+        out: dict[str, Any] = {name: getattr(self, name) for name in QUANTITIES}
+        out["index"] = [None if i < 0 else int(i) for i in self.index]
+        return plain(out | {"start": self.start.name, "end": self.end.name, "flags": list(self.flags)})
+
+    def __repr__(self) -> str:
+        v, q = self.volume, self.voltage_squared
+        return (
+            f"Branch({len(self)} points, volume {v.min():.6g} to {v.max():.6g}, voltage_squared {q.min():.6g} to "
+            f"{q.max():.6g}, from {self.start.name} to {self.end.name})"
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class Event:
+    """One event of a ramp: start, snap, landing, snap_back, breakdown, no_landing or end."""
+
+    event: str
+    direction: str
+    state: State
+    reason: str | None = None
+
+    def to_json(self, control: str = "voltage") -> dict:
+        """The event under the names of the JSON contract, with the charge where that is the control."""
+        s = self.state
+        controls = {"charge": s.charge} if control == "charge" else {}
+        return plain(
+            {"event": self.event, "direction": self.direction, "voltage": s.voltage, **controls, "pressure": s.pressure}
+            | {"volume": s.volume, "apex_stretch": s.apex_stretch, "breakdown_ratio": s.breakdown_ratio}
+            | {"error_estimate": s.error_estimate, "reason": self.reason}
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class Ramp:
+    """What an experiment sees as its control rises (or falls) slowly: events in order, and the area strain."""
+
+    events: tuple[Event, ...]
+    area_strain: float | None = None
+    area_strain_reason: str | None = None
+
+    def __getitem__(self, name: str) -> list[Event]:
+        """All events of one name, such as `ramp["landing"]`."""
+        return [e for e in self.events if e.event == name]
+
+    def _repr_html_(self) -> str:
+        strain = "" if self.area_strain is None else f"area strain {self.area_strain:.6g} ({self.area_strain_reason})"
+        return events_table(self.events, strain)
+
+    def to_json(self) -> list[dict]:
+        """The events in order."""
+        return [e.to_json() for e in self.events]
+
+
+def points_table(points: list[SpecialPoint], caption: str = "", units: Any = None) -> str:
+    """Special points as an HTML table, in the units' reading where they are given."""
+    names = ("voltage", "pressure", "volume", "apex_stretch", "breakdown_ratio", "index")
+    shown = points if units is None else units.read(points)
+    rows = [[p.kind, p.branch, *(getattr(p, n) for n in names)] for p in shown]
+    return html_table(["kind", "branch", *_heads(names, units)], rows, caption)
+
+
+def _heads(names: tuple[str, ...], units: Any) -> list[str]:
+    named = {} if units is None else units.names(read=True)
+    return [n.replace("_", " ") + (f" / {named[n]}" if n in named else "") for n in names]
+
+
+def events_table(events: tuple[Event, ...], caption: str = "", units: Any = None) -> str:
+    """The events of ramps as an HTML table, in the units' reading where they are given."""
+    names = ("voltage", "pressure", "volume", "apex_stretch", "breakdown_ratio")
+    shown = events if units is None else units.read(events)
+    rows = [[e.event, e.direction, *(getattr(e.state, n) for n in names), e.reason or ""] for e in shown]
+    return html_table(["event", "direction", *_heads(names, units), "reason"], rows, caption)

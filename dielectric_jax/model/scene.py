@@ -1,0 +1,360 @@
+"""A scene: one membrane under one loading, looked at through a window.
+
+The scene decides what is integrated: which derivatives the loading's condition needs, and where the window ends.
+"""
+
+import dataclasses
+import typing
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from .elastomers import CustomPermittivity, Electrostrictive, MooneyRivlin, Ogden
+from .loading import (
+    AbstractLoading,
+    Chamber,
+    ChargeControl,
+    ConstantPressure,
+    ConstantVoltage,
+    PrescribedVolume,
+    control_of,
+    mechanical,
+)
+from .materials import (
+    AbstractDielectric,
+    AbstractMaterial,
+    ArrudaBoyce,
+    ConstantBreakdown,
+    CustomMaterial,
+    Gent,
+    NeoHookean,
+    VHBBreakdown,
+)
+from .membrane import Membrane
+from ..numerics.codes import LARGEST, shown
+from .units import Units, is_concrete
+
+__all__ = ["PARAMETERS", "Scene", "Window", "describe", "pair"]
+
+#: loadings whose fields share a name
+_OWNERS = {"chamber_volume": Chamber, "volume": PrescribedVolume}
+SCANNED_LOAD = 0.9  # the scan covers load fractions up to this
+
+#: every continuous parameter of a scene, and where it lives; the last four, in SI, where the scene carries `units`;
+#: the constants of a user's material have the names of its fields
+PARAMETERS = {
+    "chamber_volume": ("loading", "volume"),
+    "initial_volume": ("loading", "initial_volume"),
+    "initial_pressure": ("loading", "initial_pressure"),
+    "atmospheric_pressure": ("loading", "atmospheric_pressure"),
+    "polytropic_exponent": ("loading", "polytropic_exponent"),
+    "pressure": ("loading", "pressure"),
+    "volume": ("loading", "volume"),
+    "prestretch": ("membrane", "prestretch"),
+    "breakdown_field_scale": ("membrane", "breakdown", "scale"),
+    "stretch_limit": ("membrane", "material", "stretch_limit"),
+    "chain_links": ("membrane", "material", "chain_links"),
+    "c1": ("membrane", "material", "c1"),
+    "c2": ("membrane", "material", "c2"),
+    "moduli": ("membrane", "material", "moduli"),
+    "exponents": ("membrane", "material", "exponents"),
+    "thickness_coefficient": ("membrane", "material", "thickness_coefficient"),
+    "stretch_coefficient": ("membrane", "material", "stretch_coefficient"),
+    "shear_modulus": ("units", "shear_modulus"),
+    "thickness": ("units", "thickness"),
+    "radius": ("units", "radius"),
+    "permittivity": ("units", "permittivity"),
+}
+
+
+def place_of(name: str) -> tuple[str, ...]:
+    """Where a scene keeps a parameter: a published one, or else a constant of a user's material."""
+    return PARAMETERS.get(name, ("membrane", "material", name))
+
+
+def constants_of(material) -> list[str]:
+    """The names of a material's constants: its fields that are numbers, or tuples of them."""
+
+    def is_constant(field) -> bool:
+        leaves = jax.tree.leaves(getattr(material, field.name))
+        return not field.metadata.get("static", False) and bool(leaves) and not any(map(np.ndim, leaves))
+
+    return [f.name for f in dataclasses.fields(material) if f.name != "elastic" and is_constant(f)]
+
+
+def pair(name, value) -> tuple[float, float]:
+    """Two finite numbers, the lower first; raises ValueError by the name otherwise."""
+    try:
+        low, high = (float(v) for v in value)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"`{name}` must be a pair of numbers (low, high), but is {shown(value)}.") from None
+    if not (abs(low) <= LARGEST and abs(high) <= LARGEST and low < high):
+        raise ValueError(
+            f"`{name}` must be finite, at most {LARGEST:g} in size, with low < high, but is ({low!r}, {high!r})."
+        )
+    return low, high
+
+
+class Window(eqx.Module):
+    """The part of the chart that is searched: apex stretch, and load fraction t = q/q_max(λa).
+
+    `apex_stretch=None` means from the prestretch to the material's largest stretch, beyond which no window goes: its lock-up
+    (Gent 0.99 J, Arruda–Boyce ρ = 0.995); 12 prestretches where it has none; what a user's material says. A material without
+    lock-up that stiffens before (Ogden with large exponents, Mooney–Rivlin at large prestretches) ends where the
+    balloon pressure 2s/λ² of its equal-biaxial tension s(λ) reaches 100, (λ − 1) s'/s reaches 210, or s falls to zero. A Gent
+    film that locks at a small stretch reaches the same pressure; above it branches are too steep to follow.
+    """
+
+    apex_stretch: tuple[float, float] | None = eqx.field(
+        default=None, static=True, converter=lambda v: None if v is None else pair("stretch_window", v)
+    )
+    load_fraction: typing.Any = eqx.field(
+        default=(-1.0, 1.0), static=True, converter=lambda v: (-1.0, 1.0) if v is None else pair("load_window", v)
+    )
+
+    def __check_init__(self):
+        low, high = self.load_fraction
+        if not (low >= -20 and high <= 1):
+            raise ValueError(f"`load_window` must lie between -20 and 1, but is ({low!r}, {high!r}).")
+        if not low < SCANNED_LOAD:
+            raise ValueError(f"`load_window` must begin below {SCANNED_LOAD}, but begins at {low!r}.")
+
+
+class Scene(eqx.Module):
+    """One membrane under one loading; `replace` changes parameters by their published names (`PARAMETERS`).
+
+    Its numbers are dimensionless. A scene that carries `units` knows what they mean in SI; `Scene.from_si` makes one from
+    a loading in SI.
+
+    >>> scene = Scene(membrane=Membrane(), loading=Chamber(volume=1600.0, initial_volume=2.42))
+    >>> float(scene.replace(chamber_volume=800.0).loading.volume)
+    800.0
+    """
+
+    membrane: Membrane
+    loading: AbstractLoading
+    window: Window = eqx.field(default_factory=Window)
+    units: Units | None = None
+
+    def __check_init__(self):
+        if not isinstance(self.membrane, Membrane):
+            raise ValueError(f"`membrane` must be a Membrane, but is a {type(self.membrane).__name__}.")
+        if not isinstance(self.loading, AbstractLoading):
+            raise ValueError(
+                f"`loading` must be a loading such as Chamber(...), but is a {type(self.loading).__name__}."
+            )
+        for name in constants_of(self.membrane.material):
+            if place_of(name) != ("membrane", "material", name):
+                raise ValueError(
+                    f"`{name}` must not be the name of a material's constant, because it is that of a parameter of "
+                    f"the {place_of(name)[0]}."
+                )
+        if self.units is not None:
+            if not isinstance(self.units, Units):
+                raise ValueError(f"`units` must be a Units, but is a {type(self.units).__name__}.")
+            _check_law(self.membrane.breakdown, self.units)
+
+    @classmethod
+    def from_si(
+        cls, membrane: Membrane, loading: AbstractLoading, units: Units | None = None, *, window: Window | None = None
+    ) -> "Scene":
+        """The scene of a loading whose numbers are in SI (Pa, m³, …), with `units` (default `Units()`) carried along.
+
+        A `VHBBreakdown` of the membrane gets the units' μ and ε. The membrane's own numbers are dimensionless as ever.
+
+        >>> chamber = Chamber(volume=18.225e-3, initial_volume=27.565e-6, atmospheric_pressure=100e3)
+        >>> scene = Scene.from_si(Membrane(), chamber)
+        >>> round(float(scene.loading.volume), 9), round(float(scene.loading.atmospheric_pressure), 9)
+        (1600.0, 50.0)
+        >>> thin = scene.replace(thickness=0.5e-3)  # the same chamber of air, twice as stiff beside the film
+        >>> round(float(thin.loading.volume), 9), round(float(thin.loading.atmospheric_pressure), 9)
+        (1600.0, 100.0)
+        """
+        units = Units() if units is None else units
+        law = _law_in(membrane.breakdown, units)
+        changed = _rebuild(membrane, (), {"breakdown": law})
+        return cls(changed, units.from_si(loading), Window() if window is None else window, units)
+
+    def replace(self, **parameters) -> "Scene":
+        """The scene with other values of the named parameters; setting one side of a filling clears the other.
+
+        Parameters of the units are in SI, and what they change is the film: the loading and a constant breakdown field stay
+        what they are in SI, so that their dimensionless numbers change. All others are dimensionless.
+        """
+        scene = self
+        for name, value in parameters.items():
+            path = scene.path_of(name)
+            if path[0] == "units":
+                scene = scene._in(_rebuild(scene.units, (), {name: value}))
+                continue
+            changes = {path[-1]: value}
+            other = {"initial_volume": "initial_pressure", "initial_pressure": "initial_volume"}.get(name)
+            if other:
+                changes[other] = None
+            scene = _rebuild(scene, path[:-1], changes)
+        return scene
+
+    def has(self, name: str) -> bool:
+        """Whether a parameter is one of this scene's."""
+        try:
+            return bool(self.path_of(name))
+        except ValueError:
+            return False
+
+    def path_of(self, name: str) -> tuple[str, ...]:
+        """Where the scene keeps a parameter; raises ValueError where it has none of that name."""
+        path = place_of(name)
+        if path[:2] == ("membrane", "material") and not self._holds(path):
+            path = (*path[:2], "elastic", path[-1])  # the elasticity of a dielectric
+        if name not in PARAMETERS and not self._holds(path):
+            own = dict.fromkeys((*PARAMETERS, *constants_of(self.membrane.material)))
+            raise ValueError(f"`{name}` must be one of {', '.join(own)}, but is not a parameter of a scene.")
+        own = _OWNERS.get(name, AbstractLoading)
+        if isinstance(self.loading, ChargeControl) and path[0] == "loading":
+            path = ("loading", *path)
+        if not (self._holds(path) and isinstance(mechanical(self.loading), own)):
+            raise ValueError(
+                f"`{name}` must be a parameter of this scene, but its {path[0]} has none of that name."
+                if path[0] != "units" or self.units is not None
+                else f"`{name}` must be a parameter of this scene, but it carries no `units`."
+            )
+        return path
+
+    def _holds(self, path: tuple[str, ...]) -> bool:
+        """Whether there is a parameter at this place."""
+        module = self
+        for step in path[:-1]:
+            module = getattr(module, step, None)
+        if isinstance(module, AbstractMaterial):
+            return path[-1] in constants_of(module)
+        return module is not None and path[-1] in _fields(module)
+
+    def _in(self, units: Units) -> "Scene":
+        """The same loading and breakdown field in SI on a film of other constants."""
+        before = typing.cast(Units, self.units)
+        law = self.membrane.breakdown
+        if isinstance(law, ConstantBreakdown):
+            law = units.reduce(before.to_si(law))
+        elif not isinstance(law, VHBBreakdown):
+            raise ValueError(
+                f"`breakdown` must be a VHBBreakdown or ConstantBreakdown where units change, but is a {type(law).__name__}."
+            )
+        membrane = _rebuild(self.membrane, (), {"breakdown": _law_in(law, units)})
+        loading = units.reduce(before.to_si(self.loading))
+        return Scene(membrane, loading, self.window, units)
+
+    def limits(self) -> tuple[tuple[float, float], bool, tuple[float, float]]:
+        """Apex-stretch limits, whether the upper one is the material's lock-up, and load-fraction limits."""
+        lock_up, locks = self.membrane.lock_up_stretch()
+        prestretch = float(self.membrane.prestretch)
+        if self.window.apex_stretch is None:
+            return (prestretch, lock_up), locks, self.window.load_fraction
+        low, high = self.window.apex_stretch
+        if not high > prestretch:
+            raise ValueError(f"`stretch_window` must end above the prestretch {prestretch:g}, but ends at {high!r}.")
+        if not low < lock_up:
+            raise ValueError(
+                f"`stretch_window` must begin below the material's largest stretch {lock_up:.6g}, but begins at {low!r}."
+            )
+        return (max(low, prestretch), min(high, lock_up)), locks and high >= lock_up, self.window.load_fraction
+
+
+def _fields(module) -> set:
+    return set(module.__dataclass_fields__)
+
+
+def _law_in(law, units: Units):
+    """A breakdown law that measures its field in these units."""
+    if not isinstance(law, VHBBreakdown):
+        return law
+    return VHBBreakdown(law.scale, units.shear_modulus, units.relative_permittivity)
+
+
+def _check_law(law, units: Units) -> None:
+    if not isinstance(law, VHBBreakdown):
+        return
+    pairs = {
+        "shear_modulus": (law.shear_modulus, units.shear_modulus),
+        "relative_permittivity": (law.relative_permittivity, units.relative_permittivity),
+    }
+    for name, (own, other) in pairs.items():
+        if is_concrete(own) and is_concrete(other) and abs(own / other - 1) > 1e-12:
+            raise ValueError(
+                f"`{name}` of the breakdown law must be that of the units, {float(other):.6g}, but is {float(own):.6g}; "
+                "Scene.from_si sees to it."
+            )
+
+
+def _rebuild(module, path, changes):
+    """A copy with fields changed, through the constructors, so that every check runs again."""
+    if path:
+        changes = {path[0]: _rebuild(getattr(module, path[0]), path[1:], changes)}
+    return type(module)(**{n: getattr(module, n) for n in _fields(module)} | changes)
+
+
+def describe_units(units: Units) -> dict:
+    """The constants of the units, in SI, under their published names."""
+    return {name: float(getattr(units, name)) for name in units.__dataclass_fields__}
+
+
+_MATERIAL_NAMES = {
+    Gent: "gent",
+    NeoHookean: "neo-hookean",
+    ArrudaBoyce: "arruda-boyce",
+    CustomMaterial: "custom",
+    MooneyRivlin: "mooney-rivlin",
+    Ogden: "ogden",
+    Electrostrictive: "electrostrictive",
+    CustomPermittivity: "custom-permittivity",
+}
+
+
+def _constants(material) -> dict:
+    """A material's own numbers, under their published names."""
+    return {n: np.asarray(getattr(material, n), float).tolist() for n in constants_of(material)}
+
+
+def describe(what: Scene | Membrane) -> dict:
+    """The scene's parameters under their published names, as the JSON documents carry them; the units' own are in SI."""
+    scene = what if isinstance(what, Scene) else None
+    membrane = what.membrane if isinstance(what, Scene) else what
+    out: dict = {"material": _MATERIAL_NAMES.get(type(membrane.material), type(membrane.material).__name__)}
+    material = membrane.material
+    if isinstance(material, AbstractDielectric):
+        elastic = getattr(material, "elastic", None)
+        out["elastic"] = _MATERIAL_NAMES.get(type(elastic), type(elastic).__name__)
+        out |= _constants(elastic)
+    out |= _constants(material)
+    out["prestretch"] = float(membrane.prestretch)
+    law = membrane.breakdown
+    out["breakdown"] = (
+        "vhb"
+        if isinstance(law, VHBBreakdown)
+        else float(law.constant_field)
+        if isinstance(law, ConstantBreakdown)
+        else type(law).__name__
+    )
+    out["breakdown_field_scale"] = float(getattr(law, "scale", 1.0))
+    if scene is None:
+        return out
+    if scene.units is not None:
+        out |= describe_units(scene.units)
+    loading = mechanical(scene.loading)
+    if isinstance(loading, ConstantPressure):
+        out["pressure"] = float(loading.pressure)
+    elif isinstance(loading, ConstantVoltage):
+        out["voltage"] = float(loading.voltage)
+    elif isinstance(loading, PrescribedVolume):
+        out["volume"] = float(loading.volume)
+    elif isinstance(loading, Chamber):
+        out["chamber_volume"] = float(loading.volume)
+        for name in ("initial_volume", "initial_pressure"):
+            value = getattr(loading, name)
+            if value is not None:
+                out[name] = float(value)
+        out["atmospheric_pressure"] = float(loading.atmospheric_pressure)
+        out["polytropic_exponent"] = float(loading.polytropic_exponent)
+    if control_of(scene.loading) == "charge":
+        out["control"] = "charge"
+    return out

@@ -1,0 +1,250 @@
+"""SI and dimensionless numbers: `Units` converts parameters, records, loadings and JSON documents both ways.
+
+All computing is dimensionless. A quantity is known by its name: the published parameters of a scene, the columns of
+states, branches and profiles, the keys of a document. Lengths are measured in A, stresses in μ, pressures in μH/A,
+volumes in A³, voltages in H√(μ/ε), fields in √(μ/ε), charges in A²√(εμ), energies in μHA² (eq. 23 of
+doi 10.1016/j.jmps.2012.09.006).
+"""
+
+import dataclasses
+import math
+import typing
+from collections.abc import Callable, Mapping
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..numerics.codes import LARGEST, check_positive
+
+__all__ = ["VACUUM_PERMITTIVITY", "VHB_4910", "Scalar", "Units", "as_scalar", "is_concrete"]
+
+Scalar: typing.TypeAlias = typing.Any  # a number, or the array or tracer that stands for one
+VACUUM_PERMITTIVITY = 8.854e-12  # F/m, with the digits of the paper
+
+#: the two fits to VHB 4910 of the paper's section 3: to inflation (used in its analyses), and to tension
+VHB_4910 = {
+    "inflation": {"shear_modulus": 45e3, "stretch_limit": 270.0},
+    "tension": {"shear_modulus": 68e3, "stretch_limit": 372.0, "chain_links": 125.0},
+}
+
+# what kind of quantity a name is; names that are missing have no unit
+_KINDS = {
+    "pressure": ("pressure", "initial_pressure", "atmospheric_pressure"),
+    "volume": ("volume", "initial_volume", "chamber_volume"),
+    "voltage": ("voltage",),
+    "voltage_squared": ("voltage_squared",),
+    "length": ("height", "radius", "r", "z"),
+    "charge": ("charge",),
+    "field": ("field", "constant_field", "breakdown"),
+    "stress": ("stress", "stress_1", "stress_2"),
+    "energy": ("energy",),
+}
+_KIND = {name: kind for kind, names in _KINDS.items() for name in names}
+_SI_NAMES = {
+    "pressure": "Pa",
+    "volume": "m³",
+    "voltage": "V",
+    "voltage_squared": "V²",
+    "length": "m",
+    "charge": "C",
+    "field": "V/m",
+    "stress": "Pa",
+    "energy": "J",
+}
+# the units in which people read a kind, or one name of it: (name, its size in SI)
+_READ = {
+    "pressure": ("mbar", 100.0),
+    "volume": ("ml", 1e-6),
+    "chamber_volume": ("L", 1e-3),
+    "voltage": ("kV", 1e3),
+    "voltage_squared": ("kV²", 1e6),
+    "length": ("mm", 1e-3),
+    "charge": ("μC", 1e-6),
+    "field": ("MV/m", 1e6),
+    "stress": ("kPa", 1e3),
+    "energy": ("mJ", 1e-3),
+}
+# the constants of the units themselves, in SI wherever they stand
+_CONSTANTS = {"shear_modulus": "Pa", "thickness": "m", "radius": "m", "permittivity": "F/m"}
+_DIMENSIONLESS_ATMOSPHERE = 50.0  # the default of a chamber
+
+
+def is_concrete(value) -> bool:
+    """Whether a value can be checked now, that is, no transformation is tracing it."""
+    return not isinstance(value, jax.core.Tracer)  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def as_scalar(value: Scalar):
+    """A float64 scalar, or the tracer that stands for one."""
+    if not is_concrete(value):
+        return jnp.asarray(value, dtype=float)
+    try:
+        return np.asarray(value, dtype=np.float64)
+    except OverflowError:  # an integer beyond floats, which checks refuse as they refuse infinity
+        return np.asarray(math.inf if value > 0 else -math.inf)
+
+
+class Units(eqx.Module):
+    """What one means in SI: shear modulus μ [Pa], undeformed thickness H [m], radius A [m], permittivity ε [F/m].
+
+    By default the membrane of the paper's analyses: VHB 4910 with μ = 45 kPa, H = 1 mm, A = 22.5 mm, ε = 4.7 ε0. The
+    field's unit √(μ/ε) is also that of the breakdown law, which must be told the same μ and ε; `Scene` checks it, and
+    `Scene.from_si` does it.
+
+    >>> units = Units()
+    >>> round(units.to_si(0.1, "voltage"), 6), round(units.to_si(2.42, "volume") / 1e-6, 6)  # V, ml
+    (3288.422182, 27.565312)
+    >>> round(units.from_si(100e3, "atmospheric_pressure"), 12)
+    50.0
+    >>> round(units.read(0.1, "voltage"), 9), units.read_name("voltage")
+    (3.288422182, 'kV')
+    """
+
+    shear_modulus: Scalar = eqx.field(default=VHB_4910["inflation"]["shear_modulus"], converter=as_scalar)
+    thickness: Scalar = eqx.field(default=1e-3, converter=as_scalar)
+    radius: Scalar = eqx.field(default=22.5e-3, converter=as_scalar)
+    permittivity: Scalar = eqx.field(default=4.7 * VACUUM_PERMITTIVITY, converter=as_scalar)
+
+    def __check_init__(self):
+        for name in _CONSTANTS:
+            if is_concrete(getattr(self, name)):
+                value = float(getattr(self, name))
+                check_positive(name, value)
+                if value < 1 / LARGEST:  # what is divided by it must not overflow
+                    raise ValueError(f"`{name}` must be at least {1 / LARGEST:g}, but is {value!r}.")
+
+    @property
+    def relative_permittivity(self):
+        """ε/ε0."""
+        return self.permittivity / VACUUM_PERMITTIVITY
+
+    def scale(self, name: str):
+        """The size in SI of the unit in which the quantity `name` is measured; 1 for what has no unit."""
+        mu, h, a, eps = self.shear_modulus, self.thickness, self.radius, self.permittivity
+        kind = _KIND.get(name)
+        if kind == "voltage_squared":
+            return h * h * mu / eps
+        field = (mu / eps) ** 0.5
+        return {
+            None: 1.0,
+            "length": a,
+            "stress": mu,
+            "pressure": mu * h / a,
+            "volume": a**3,
+            "voltage": h * field,
+            "field": field,
+            "charge": a * a * eps * field,
+            "energy": mu * h * a * a,
+        }[kind]
+
+    def to_si(self, what: typing.Any, name: str | None = None) -> typing.Any:
+        """Dimensionless numbers in SI.
+
+        Args:
+            what: a number or array, with its `name`; or a record (`State`, `Branch`, `Event`, `Ramp`, `Profile`, the ramps
+                of an ensemble), a loading, or a JSON document: every quantity in it is converted, and what comes back is of
+                the same type. It is there to be read; the package computes with dimensionless records only.
+            name: which quantity a number is, such as "voltage", "pressure", "volume", "height", "field", "charge".
+
+        Raises:
+            ValueError: for a name without unit, or a number without name.
+        """
+        return self._convert(what, name, self.scale)
+
+    def from_si(self, what: typing.Any, name: str | None = None) -> typing.Any:
+        """Numbers in SI made dimensionless; arguments as in `to_si`.
+
+        >>> from dielectric_jax import Chamber
+        >>> chamber = Units().from_si(Chamber(volume=20e-3, initial_volume=12e-6, atmospheric_pressure=100e3))
+        >>> round(float(chamber.volume), 4), round(float(chamber.initial_volume), 6)
+        (1755.8299, 1.053498)
+        """
+        pressure = getattr(what, "atmospheric_pressure", None)
+        if pressure is not None and is_concrete(pressure) and np.all(pressure == _DIMENSIONLESS_ATMOSPHERE):
+            raise ValueError(
+                "`atmospheric_pressure` must be given in Pa for a chamber in SI, but is 50.0, the dimensionless default."
+            )
+        return self.reduce(what, name)
+
+    def reduce(self, what: typing.Any, name: str | None = None) -> typing.Any:
+        """`from_si` for loadings that are known to be in SI: a pressure of 50.0 Pa outside is no slip."""
+        return self._convert(what, name, lambda n: 1 / self.scale(n))
+
+    def read(self, what: typing.Any, name: str | None = None) -> typing.Any:
+        """Dimensionless numbers in the units people read: kV, ml (chambers in L), mbar, mm, MV/m, kPa, μC; as `to_si`."""
+        return self._convert(what, name, lambda n: self.scale(n) / _read(n)[1])
+
+    @staticmethod
+    def read_name(name: str) -> str:
+        """The unit in which `read` gives the quantity; "" for what has none."""
+        return _read(name)[0]
+
+    @staticmethod
+    def names(*, read: bool = False) -> dict[str, str]:
+        """The unit of every name that has one: SI, or with `read=True` those of `read`."""
+        known = {n: k for n, k in _KIND.items() if n not in (*_CONSTANTS, "r", "z")}
+        return {n: _read(n)[0] if read else _SI_NAMES[k] for n, k in known.items()} | _CONSTANTS
+
+    def to_document(self, document: dict, *, read: bool = False) -> dict:
+        """A JSON document in SI: "units" is "SI", "unit_names" names the unit of every quantity it may hold.
+
+        With `read=True` the units of `read` instead, for people. The scene lists the constants of the units, always in SI.
+        """
+        constants = {n: float(getattr(self, n)) for n in _CONSTANTS}
+        out = self.read(document) if read else self.to_si(document)
+        names = {"units": "kV, ml, mbar" if read else "SI", "unit_names": self.names(read=read)}
+        out = {k: names.pop(k) if k == "units" else v for k, v in out.items()}
+        out["scene"] = out["scene"] | constants
+        return out | names
+
+    @staticmethod
+    def _convert(what, name: str | None, factor: Callable) -> typing.Any:
+        if name is not None:
+            if name not in _KIND:
+                raise ValueError(f"`name` must be one of {', '.join(_KIND)}, but is {name!r}.")
+            return _times(what, factor(name))
+        if isinstance(what, (int, float, np.ndarray, jax.Array)):
+            raise ValueError("`name` must be given with a number, such as 'voltage' or 'pressure', but is not.")
+        return _converted(what, factor)
+
+
+def _read(name: str) -> tuple[str, float]:
+    return _READ.get(name) or _READ.get(_KIND.get(name, ""), ("", 1.0))
+
+
+def _times(value, factor):
+    """The product; None, words and truths stay, and plain numbers stay plain."""
+    if value is None or isinstance(value, (str, bool)):
+        return value
+    if isinstance(value, (list, tuple)):
+        return type(value)(_times(v, factor) for v in value)
+    product = value * factor
+    return float(product) if isinstance(value, (int, float)) and is_concrete(product) else product
+
+
+def _converted(what, factor: Callable):
+    """A copy whose named quantities are converted, at any depth."""
+    if isinstance(what, Mapping):
+        return {k: _member(v, "" if k in _CONSTANTS else str(k), factor) for k, v in what.items()}
+    if hasattr(what, "_fields"):
+        return type(what)(*(_member(getattr(what, n), n, factor) for n in what._fields))
+    if isinstance(what, (list, tuple)):
+        return type(what)(_converted(v, factor) for v in what)
+    if dataclasses.is_dataclass(what) and not isinstance(what, type):
+        fields = [f.name for f in dataclasses.fields(what)]
+        if any(n.startswith("_") or n == "units" for n in fields):
+            raise ValueError(
+                f"A {type(what).__name__} must be converted part by part, its records or its loading, or as the document "
+                "of its `to_json(units=...)`."
+            )
+        return type(what)(**{n: _member(getattr(what, n), n, factor) for n in fields})
+    return what
+
+
+def _member(value, name: str, factor: Callable):
+    nested = isinstance(value, Mapping) or dataclasses.is_dataclass(value) or hasattr(value, "_fields")
+    if name in _KIND and not nested:
+        return _times(value, factor(name))
+    return _converted(value, factor)

@@ -1,0 +1,1 @@
+"""Methods that know no membrane: continuation, compiled programs, codes, caches."""

@@ -1,0 +1,1 @@
+"""Figures of records: diagrams, states, materials, ramps, regime maps."""

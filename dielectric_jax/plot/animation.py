@@ -1,0 +1,187 @@
+"""Ramps as paths: the states a slow ramp holds in order, the loop it draws, and an animation of the balloon."""
+
+from __future__ import annotations
+
+import itertools
+import pathlib
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..diagram.diagrams import Diagram
+from .drawing import COLOURS, GAS, add_legend, axis_label, draw_events, event_entries, new_axes, new_figure, viewed
+from .states import plot_cross_section
+from ..model.profiles import profile
+from ..model.records import State, voltage_of
+from ..model.units import Units
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["animate_ramp", "plot_ramp", "ramp_path"]
+
+_QUANTITIES = ("voltage_squared", "pressure", "volume", "apex_stretch", "breakdown_ratio")
+_JUMPS = ("snap", "snap_back")
+
+
+def _between(diagram: Diagram, one: State, other: State) -> np.ndarray:
+    """States of a branch between two of its states, shape (quantities, points), both included."""
+    ends = [np.array([getattr(s, n) for n in _QUANTITIES]) for s in (one, other)]
+    best = None
+    for branch in diagram.branches:
+        places, offs = [], []
+        for state in (one, other):
+            off = np.hypot(
+                branch.apex_stretch - state.apex_stretch, 10 * (branch.voltage_squared - state.voltage_squared)
+            )
+            places.append(int(np.argmin(off)))
+            offs.append(float(off.min()))
+        if best is None or sum(offs) < best[0]:
+            best = (sum(offs), branch, *places)
+    if best is None:
+        return np.stack(ends, axis=1)
+    _, branch, first, last = best
+    step = 1 if last >= first else -1
+    inner = np.arange(first, last + step, step)
+    rows = np.stack([getattr(branch, n)[inner] for n in _QUANTITIES])
+    # the nearest points may lie just outside of the two states
+    low, high = sorted((one.apex_stretch, other.apex_stretch))
+    rows = rows[:, (rows[3] > low) & (rows[3] < high) & (rows[0] >= 0)]
+    return np.concatenate([ends[0][:, None], rows, ends[1][:, None]], axis=1)
+
+
+def ramp_path(diagram: Diagram, direction: str = "up") -> dict[str, np.ndarray]:
+    """The states a ramp holds, in order: columns of one shape, and `leg`, which counts the held pieces between jumps.
+
+    Raises ValueError for a pressure–volume curve, and where there is no such ramp.
+    """
+    events = diagram.ramp(direction).events
+    pieces, legs = [], []
+    for one, other in itertools.pairwise(events):
+        if one.event in _JUMPS or other.event == "no_landing" or other.reason == "breakdown in the snap":
+            continue
+        pieces.append(_between(diagram, one.state, other.state))
+        legs.append(np.full(pieces[-1].shape[1], sum(e.event in _JUMPS for e in events[: events.index(one) + 1])))
+    landed = [e.state for e in events if e.event == "landing"]
+    if landed and diagram.area_strain_reason == "breakdown in the snap" and direction == "up":
+        pieces.append(np.array([[getattr(landed[-1], n)] for n in _QUANTITIES]))
+        legs.append(np.array([legs[-1][-1] + 1 if legs else 0]))
+    columns = np.concatenate(pieces, axis=1) if pieces else np.zeros((len(_QUANTITIES), 0))
+    return dict(zip(_QUANTITIES, columns, strict=True)) | {"leg": np.concatenate(legs) if legs else np.zeros(0, int)}
+
+
+def plot_ramp(diagram: Diagram, *, ax: Axes | None = None, units: Units | None = None, legend: bool = True) -> Axes:
+    """Draws the loop of a ramp up and back: only the states that are held, and the jumps between them.
+
+    Args:
+        diagram: a `Diagram` of kind "voltage-volume".
+        ax: the axes to draw on; new ones when None.
+        units: the `Units` to draw in; by default those the scene carries, else dimensionless.
+        legend: whether to add a legend.
+
+    Returns:
+        The axes.
+    """
+    view, units = viewed(diagram, units)
+    ax = new_axes(ax)
+    ways = {e.direction for e in diagram.events}
+    for way, colour, dash in (("up", COLOURS[5], "-"), ("down", COLOURS[4], GAS)):
+        if way in ways:
+            path = ramp_path(diagram, way)
+            shown = path if units is None else units.read(path)
+            for leg in np.unique(path["leg"]):
+                on = path["leg"] == leg
+                ax.plot(
+                    shown["volume"][on],
+                    voltage_of(shown["voltage_squared"][on]),
+                    linestyle=dash,
+                    color=colour,
+                    linewidth=2.2,
+                )
+    draw_events(ax, view.events, "voltage")
+    ax.set_xlabel(axis_label("volume", units))
+    ax.set_ylabel(axis_label("voltage", units))
+    if legend:
+        add_legend(ax, event_entries(view.events))
+    return ax
+
+
+def animate_ramp(
+    diagram: Diagram,
+    path: str | pathlib.Path,
+    *,
+    direction: str = "up",
+    units: Units | None = None,
+    frames: int = 40,
+    seconds: float = 6.0,
+) -> pathlib.Path:
+    """Writes a film of the balloon, coloured by E/E_EB, beside its place on the loop: GIF, or MP4 where ffmpeg is there.
+
+    Frames are spread evenly over the logarithm of the apex stretch; jumps are cuts.
+
+    Args:
+        diagram: a `Diagram` of kind "voltage-volume".
+        path: a file name ending in .gif or .mp4.
+        direction: "up" or "down".
+        units: the `Units` to draw in; by default those the scene carries, else dimensionless.
+        frames: how many pictures, at least 2.
+        seconds: how long the film lasts.
+
+    Returns:
+        The path.
+
+    Raises:
+        ValueError: for another ending, fewer frames, or MP4 without ffmpeg.
+    """
+    from matplotlib import animation
+
+    path = pathlib.Path(path)
+    writers = {".gif": "pillow", ".mp4": "ffmpeg"}
+    if path.suffix not in writers:
+        raise ValueError(f"`path` must end in .gif or .mp4, but is {str(path)!r}.")
+    if not animation.writers.is_available(writers[path.suffix]):
+        raise ValueError(
+            f"`path` must end in .gif where {writers[path.suffix]} is not installed, but is {str(path)!r}."
+        )
+    if frames < 2:
+        raise ValueError(f"`frames` must be at least 2, but is {frames!r}.")
+    _, units = viewed(diagram, units)
+    states = ramp_path(diagram, direction)
+    jump = np.concatenate([[False], np.diff(states["leg"]) != 0])
+    steps = np.abs(np.diff(np.log(states["apex_stretch"]), prepend=np.log(states["apex_stretch"][0])))
+    way = np.cumsum(np.where(jump, 0.0, steps))
+    chosen = np.unique(np.abs(way[None] - np.linspace(0, way[-1], frames)[:, None]).argmin(axis=1))
+    # both sides of every jump are shown
+    chosen = np.unique(np.concatenate([chosen, np.flatnonzero(jump), np.flatnonzero(jump) - 1, [len(way) - 1]]))
+    film = diagram.scene.membrane
+    figure = new_figure(11.0, 4.8)
+    left, right = figure.subplots(1, 2)
+    plot_ramp(diagram, ax=right, units=units)
+    shown = states if units is None else units.read(states)
+    (dot,) = right.plot([], [], "o", color="black", markersize=9, zorder=9)
+    profiles = [profile(film, _state(states, i), steps=96) for i in chosen]
+    drawn = profiles if units is None else units.read(profiles)
+    width, top = 1.15 * max(float(p.r.max()) for p in drawn), 1.1 * max(float(p.z[-1]) for p in drawn)
+
+    def draw(number: int):
+        left.clear()
+        plot_cross_section(profiles[number], ax=left, units=units, limits=(0.0, 1.0), colourbar=False, dimensions=False)
+        left.set_xlim(-width, width)
+        left.set_ylim(-0.05 * top, top)
+        i = chosen[number]
+        left.set_title(f"E/E_EB = {states['breakdown_ratio'][i]:.2f} at its largest", fontsize="medium")
+        dot.set_data([shown["volume"][i]], [float(voltage_of(shown["voltage_squared"][i]))])
+        return []
+
+    made = animation.FuncAnimation(figure, draw, frames=len(chosen))
+    made.save(path, writer=writers[path.suffix], fps=max(1, round(len(chosen) / seconds)), dpi=80)
+    import matplotlib.pyplot as plt
+
+    plt.close(figure)
+    return path
+
+
+def _state(states: dict[str, np.ndarray], i: int) -> State:
+    """The record that a profile needs of a state: λa, p and q."""
+    q, p, volume, apex, ratio = (float(states[n][i]) for n in _QUANTITIES)
+    return State(q, p, volume, apex, np.nan, np.nan, ratio, 0, np.nan)

@@ -1,0 +1,301 @@
+"""Figures of diagrams: `plot_*(data, *, ax=None, ...) -> Axes`, and whole figures laid out like the paper's.
+
+Solid lines are stable states, dashed lines unstable ones, pale lines states beyond electric breakdown. States with
+Φ² < 0, which connect branches but which no voltage reaches, are left out of voltage–volume plots.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .drawing import (
+    COLOURS,
+    GAS,
+    add_legend,
+    axis_label,
+    columns,
+    draw_events,
+    draw_line,
+    draw_points,
+    event_entries,
+    line_entries,
+    line_entry,
+    new_axes,
+    new_figure,
+    point_entries,
+    sequence,
+    viewed,
+    voltage_text,
+)
+from ..model.loading import PrescribedVolume, control_of, mechanical
+from ..model.records import SpecialPoint, voltage_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["chamber_voltages", "plot_chamber", "plot_diagram", "plot_pressure_volume", "plot_voltage_volume"]
+
+
+def plot_voltage_volume(
+    diagram: Any,
+    *,
+    ax: Axes | None = None,
+    units: Any = None,
+    vertical: str | None = None,
+    whole: bool = False,
+    legend: bool = True,
+) -> Axes:
+    """Draws Φ, or the charge, against V: every branch, the special points, and the ramp up and down with its snaps.
+
+    Where the volume is held the apex stretch takes its place.
+
+    Args:
+        diagram: a `Diagram` of kind "voltage-volume".
+        ax: the axes to draw on; new ones when None.
+        units: the `Units` to draw in, as kV, ml and mbar; by default those the scene carries, else dimensionless.
+        vertical: "voltage" or "charge"; when None the one that the scene controls.
+        whole: show every branch in full; otherwise the limits frame what the ramp meets.
+        legend: whether to add a legend.
+
+    Returns:
+        The axes.
+    """
+    _require_kind(diagram, "voltage-volume")
+    vertical = control_of(diagram.scene.loading) if vertical is None else vertical
+    if vertical not in ("voltage", "charge"):
+        raise ValueError(f"Argument `vertical` must be 'voltage' or 'charge', but is {vertical!r}.")
+    across = "apex_stretch" if _held_volume(diagram) is not None else "volume"
+    diagram, units = viewed(diagram, units)
+    ax = new_axes(ax)
+    for number, branch in enumerate(diagram.branches):
+        points = [p for p in diagram.special_points if p.branch == number]
+        place, squared, broken, stable = columns(branch, f"{vertical}_squared", points, across)
+        draw_line(ax, place, voltage_of(squared), stable, broken, colour=COLOURS[number % len(COLOURS)])
+    shown = [p for p in diagram.special_points if p.voltage_squared >= 0]
+    draw_points(ax, shown, vertical, across)
+    draw_events(ax, diagram.events, vertical, across=across)
+    _label(ax, vertical, units, across)
+    _frame_control(ax, diagram, shown, whole, vertical, across)
+    if legend:
+        add_legend(ax, [*line_entries(diagram.branches), *point_entries(shown), *event_entries(diagram.events)])
+    return ax
+
+
+def plot_pressure_volume(
+    diagrams: Any,
+    *,
+    ax: Axes | None = None,
+    units: Any = None,
+    gas_line: Callable[[np.ndarray], np.ndarray] | None = None,
+    stability: bool = True,
+    whole: bool = False,
+    legend: bool = True,
+) -> Axes:
+    """Draws p against V for one diagram, or for several at different voltages.
+
+    Args:
+        diagrams: a `Diagram` of kind "pressure-volume", or a sequence of them.
+        ax: the axes to draw on; new ones when None.
+        units: the `Units` to draw in, as kV, ml and mbar; by default those the scene carries, else dimensionless.
+        gas_line: the pressure of the air as a function of an array of volumes, drawn dashed in black.
+        stability: dash what is unstable under prescribed pressure, and mark the special points. Otherwise the lines
+            are plain, as it should be where another loading decides on stability.
+        whole: show every curve up to lock-up; otherwise the limits frame the folds.
+        legend: whether to add a legend.
+
+    Returns:
+        The axes.
+    """
+    diagrams = list(diagrams) if isinstance(diagrams, Iterable) else [diagrams]
+    if not diagrams:
+        raise ValueError("Argument `diagrams` must hold at least one diagram, but is empty.")
+    for diagram in diagrams:
+        _require_kind(diagram, "pressure-volume")
+    diagrams, (units, *_) = zip(*(viewed(d, units) for d in diagrams), strict=True)
+    ax = new_axes(ax)
+    entries, shown = [], []
+    for diagram, colour in zip(diagrams, sequence(len(diagrams)), strict=True):
+        for number, branch in enumerate(diagram.branches):
+            points = [p for p in diagram.special_points if p.branch == number]
+            volume, pressure, broken, stable = columns(branch, "pressure", points)
+            stable = stable if stability else np.ones_like(stable)
+            draw_line(ax, volume, pressure, stable, broken, colour=colour)
+        entries.append(line_entry(voltage_text(diagram.voltage, units), colour=colour))
+        if stability:
+            shown += diagram.special_points
+    draw_points(ax, shown, "pressure")
+    _label(ax, "pressure", units)
+    _frame_pressure(ax, diagrams, whole)
+    if gas_line is not None:
+        volume = np.linspace(0, ax.get_xlim()[1], 400)
+        ax.plot(volume, gas_line(volume), color="black", linestyle=GAS, linewidth=1.2, zorder=2.5)
+        entries.append(line_entry("air", colour="black", linestyle=GAS))
+    if legend:
+        branches = [b for d in diagrams for b in d.branches]
+        lines = line_entries(branches) if stability else [e for e in line_entries(branches) if "beyond" in e[1]]
+        add_legend(ax, [*entries, *lines, *point_entries(shown)])
+    return ax
+
+
+def plot_chamber(
+    diagram: Any, curves: Sequence[Any] = (), *, figure: Figure | None = None, units: Any = None
+) -> Figure:
+    """Draws the paper's figure of one scene: membrane curves with the line of the air, and voltage against volume.
+
+    The states of the scene are where the line of the air, or of the held volume (dashed), crosses a curve of the membrane.
+    Under charge control the left panel is the voltage against the volume, with the folds of the charge.
+
+    Args:
+        diagram: a `Diagram` of kind "voltage-volume".
+        curves: diagrams of kind "pressure-volume" of the same membrane; `chamber_voltages` proposes their voltages. None
+            under charge control, where no curve of one voltage is followed.
+        figure: the figure to draw on; a new one when None.
+        units: the `Units` to draw in, as kV, ml and mbar; by default those the scene carries, else dimensionless.
+
+    Returns:
+        The figure.
+    """
+    _require_kind(diagram, "voltage-volume")
+    charged = control_of(diagram.scene.loading) == "charge"
+    if charged and curves:
+        raise ValueError("Argument `curves` must be empty for a diagram under charge control, but is not.")
+    figure = new_figure(11.0 if curves or charged else 6.0) if figure is None else figure
+    if charged:
+        for ax, vertical in zip(figure.subplots(1, 2), ("voltage", "charge"), strict=True):
+            plot_voltage_volume(diagram, ax=ax, units=units, vertical=vertical, legend=vertical == "charge")
+        return figure
+    if not curves:
+        plot_voltage_volume(diagram, ax=figure.add_subplot(), units=units)
+        return figure
+    left, right = figure.subplots(1, 2)
+    plot_voltage_volume(diagram, ax=right, units=units)
+    right_limits = right.get_xlim()
+    diagram, units = viewed(diagram, units)
+    held = _held_volume(diagram)
+    if held is not None:
+        right_limits = (0.0, 2.2 * held)
+    plot_pressure_volume(list(curves), ax=left, units=units, stability=False, legend=False)
+    curves = [viewed(c, units)[0] for c in curves]
+    left.set_xlim(right_limits)
+    _frame_chamber(left, diagram, curves)
+    colours = sequence(len(curves))
+    entries = [line_entry(voltage_text(c.voltage, units), colour=k) for c, k in zip(curves, colours, strict=True)]
+    if held is not None:
+        left.axvline(held, color="black", linestyle=GAS, linewidth=1.2, zorder=2.5)
+        draw_events(left, diagram.events, "pressure")
+        add_legend(left, [*entries, line_entry("held volume", colour="black", linestyle=GAS)])
+        return figure
+
+    def gas_line(volume: np.ndarray) -> np.ndarray:
+        pressure = diagram.gas_pressure(volume)
+        return np.full_like(volume, float(diagram.scene.loading.pressure)) if pressure is None else np.asarray(pressure)
+
+    volume = np.linspace(0, right_limits[1], 400)
+    left.plot(volume, gas_line(volume), color="black", linestyle=GAS, linewidth=1.2, zorder=2.5)
+    draw_events(left, diagram.events, "pressure", gas_line=gas_line)
+    constant = diagram.gas_pressure(volume) is None
+    entries.append(line_entry("pressure held" if constant else "air", colour="black", linestyle=GAS))
+    add_legend(left, entries)
+    return figure
+
+
+def plot_diagram(
+    diagram: Any, curves: Sequence[Any] = (), *, figure: Figure | None = None, units: Any = None
+) -> Figure:
+    """Draws the figure that fits the diagram's kind; `curves` and `units` as in `plot_chamber`."""
+    if diagram.kind == "voltage-volume":
+        return plot_chamber(diagram, curves, figure=figure, units=units)
+    if curves:
+        raise ValueError("Argument `curves` must be empty for a diagram of kind 'pressure-volume', but is not.")
+    figure = new_figure(6.0) if figure is None else figure
+    plot_pressure_volume(diagram, ax=figure.add_subplot(), units=units)
+    return figure
+
+
+def chamber_voltages(diagram: Any) -> list[float]:
+    """The voltages whose pressure–volume curves tell the most of a ramp: zero, at each snap up, and at its end."""
+    voltages = [0.0]
+    for event in diagram.events:
+        if event.direction == "up" and event.event in ("snap", "breakdown", "end"):
+            phi = event.state.voltage
+            if all(abs(phi - other) > 1e-6 for other in voltages):
+                voltages.append(phi)
+    return sorted(voltages)
+
+
+def _require_kind(diagram: Any, kind: str) -> None:
+    if diagram.kind != kind:
+        raise ValueError(f"Argument `diagram` must be of kind {kind!r}, but is of kind {diagram.kind!r}.")
+
+
+def _held_volume(diagram: Any) -> float | None:
+    """The volume that a scene prescribes."""
+    held = mechanical(diagram.scene.loading)
+    return float(held.volume) if isinstance(held, PrescribedVolume) else None
+
+
+def _label(ax: Axes, vertical: str, units: Any, across: str = "volume") -> None:
+    ax.set_xlabel(axis_label(across, units))
+    ax.set_ylabel(axis_label(vertical, units))
+
+
+def _frame_control(
+    ax: Axes, diagram: Any, points: Sequence[SpecialPoint], whole: bool, vertical: str, across: str
+) -> None:
+    """Limits that show what the ramp meets and the special points about as far."""
+
+    def places(what):
+        return [(getattr(s, across), getattr(s, vertical)) for s in what]
+
+    met = [place for place in places(e.state for e in diagram.events) if np.isfinite(place[1])]
+    if whole or len(met) < 2:
+        for columns_ in places(diagram.branches):
+            met += [(v, y) for v, y in zip(*columns_, strict=True) if np.isfinite(y)]
+        far = places(points)
+    else:
+        v_max, phi_max = max(v for v, _ in met), max(phi for _, phi in met)
+        far = [(v, y) for v, y in places(points) if v <= 1.6 * v_max and y <= 2 * phi_max]
+    if not met:
+        return
+    v_max, phi_max = (max(column) for column in zip(*met, *far, strict=True))
+    room = 1.04 if whole else 1.3
+    _limit(ax, room * v_max, room * phi_max)
+
+
+def _limit(ax: Axes, right: float, top: float) -> None:
+    """Limits from zero, a little below it so that markers on an axis are whole."""
+    right, top = right if right > 0 else 1.0, top if top > 0 else 1.0
+    ax.set_xlim(-0.015 * right, right)
+    ax.set_ylim(-0.015 * top, top)
+
+
+def _frame_pressure(ax: Axes, diagrams: Sequence[Any], whole: bool) -> None:
+    """Limits that show the folds; without folds, the curves up to half of their largest volume."""
+    folds = [p for d in diagrams for p in d.special_points if p.kind == "fold"]
+    branches = [b for d in diagrams for b in d.branches]
+    if not branches:
+        return
+    v_end = max(float(np.max(b.volume)) for b in branches)
+    if whole:
+        v_max, p_max = v_end, max(float(np.max(b.pressure)) for b in branches)
+    elif folds:
+        v_max = min(2.2 * max(p.volume for p in folds), v_end)
+        p_max = 1.25 * max(p.pressure for p in folds)
+    else:
+        v_max = 0.5 * v_end
+        inside = [np.asarray(b.pressure)[np.asarray(b.volume) <= v_max] for b in branches]
+        p_max = max((float(np.max(p)) for p in inside if len(p)), default=1.0)
+    _limit(ax, v_max, p_max)
+
+
+def _frame_chamber(ax: Axes, diagram: Any, curves: Sequence[Any]) -> None:
+    """Pressure limits for volumes that are framed already: the curves' peaks there, and the events."""
+    v_max = ax.get_xlim()[1]
+    top = [e.state.pressure for e in diagram.events]
+    top += [p.pressure for c in curves for p in c.special_points if p.kind == "fold" and p.volume <= v_max]
+    if top:
+        _limit(ax, v_max, 1.2 * max(top))

@@ -1,0 +1,1 @@
+"""All equilibria of a membrane, or of a family of prestretches, as a piecewise polynomial."""

@@ -1,0 +1,1 @@
+"""Sweeps over many scenes: axes, executors, stores, analysis."""

@@ -1,0 +1,285 @@
+"""What a worker of a sweep does: one block of scenes, from its parameters to its variables.
+
+A block is computed alone, in calls of fixed shapes, so that its numbers do not depend on who computes it, nor on when.
+"""
+
+import collections
+import dataclasses
+import math
+import threading
+import typing
+
+import jax
+import numpy as np
+
+from ..diagram.batch import continue_scenes
+from ..numerics.cache import enable_compilation_cache, enabled_folder
+from .variables import Answer, Source, answer_of_diagram, answers_of, empty_answer
+from ..diagram.diagrams import voltage_volume
+from ..diagram.chambers import (
+    chamber_curves,
+    chamber_ramps,
+    filling_volumes,
+    pressure_curves,
+    pressure_ramps,
+)
+from ..surface.family import SurfaceFamily
+from ..model.loading import Chamber, ConstantPressure
+from ..numerics.locks import alone
+from ..model.membrane import Membrane
+from ..model.outcomes import Regime
+from ..numerics.codes import SceneError
+from ..model.scene import PARAMETERS, Scene, place_of
+from ..surface.surface import Surface
+
+__all__ = ["Job", "compute_block", "surface_of"]
+
+_KEPT = 8  # surfaces that a process keeps
+
+
+@dataclasses.dataclass(frozen=True)
+class Job:
+    """What all blocks of a sweep have in common.
+
+    `family` is the range of prestretches of a family from which the surfaces are taken; None where each is built alone.
+    """
+
+    scene: Scene
+    engine: str = "surface"
+    resolve: bool = False
+    curves: bool = False
+    tolerance: float = 1e-9
+    family: tuple[float, float] | None = None
+    cache: str | None = None
+
+
+def make_ready(job: Job) -> None:
+    """Sets a worker's process up as the process that started the sweep: float64, and the cache folder of programs."""
+    if not jax.config.read("jax_enable_x64"):
+        jax.config.update("jax_enable_x64", True)
+    if job.cache is not None and str(enabled_folder()) != job.cache:
+        enable_compilation_cache(job.cache)
+
+
+_surfaces: collections.OrderedDict = collections.OrderedDict()
+_lock = threading.RLock()
+
+
+def _remembered(key, make):
+    """`make()`, or what it gave for the same key a short while ago."""
+    with _lock:
+        if key not in _surfaces:
+            _surfaces[key] = make()
+            while len(_surfaces) > _KEPT:
+                _surfaces.popitem(last=False)
+        _surfaces.move_to_end(key)
+        return _surfaces[key]
+
+
+def _once(path, build):
+    """`build()`, which keeps its answer in a file: of several processes one builds, the others read."""
+    if path is None or path.exists():
+        return build()
+    with alone(path.with_suffix(".lock")):
+        return build()
+
+
+def _numbers(what) -> tuple:
+    """What tells two membranes, or materials, apart."""
+    leaves, tree = jax.tree.flatten(what)
+    return tree, tuple(np.asarray(v, float).tobytes() for v in leaves)
+
+
+def surface_of(membrane: Membrane, tolerance: float, family: tuple[float, float] | None = None) -> Surface:
+    """The surface of a membrane, kept in the process and, where the cache is on, in the cache folder.
+
+    With `family` it is taken from the family of that range of prestretches.
+    """
+    key = (*_numbers(membrane), tolerance, family)
+
+    def alone_built():
+        path = Surface.path_of(membrane, tolerance)
+        return _once(path, lambda: Surface.build(membrane, tolerance=tolerance))
+
+    def from_family():
+        material, law, own = membrane.material, membrane.breakdown, typing.cast(tuple, family)
+        whole_key = (*_numbers((material, law)), tolerance, own, "family")
+
+        def build():
+            path = SurfaceFamily.path_of(material, own, law, tolerance)
+            options = {"prestretch": own, "breakdown": law, "tolerance": tolerance}
+            return _once(path, lambda: SurfaceFamily.build(material, **options))
+
+        return _remembered(whole_key, build).surface(float(membrane.prestretch))
+
+    return _remembered(key, alone_built if family is None else from_family)
+
+
+def _groups(names: list[str], columns: dict[str, np.ndarray], count: int):
+    """The scenes of each membrane: their places, and the values that set the membrane."""
+    own = [name for name in names if place_of(name)[0] != "loading"]
+    if not own:
+        yield np.arange(count), {}
+        return
+    table = np.stack([columns[name] for name in own], axis=1)
+    values, which = np.unique(table, axis=0, return_inverse=True)
+    for i, row in enumerate(values):
+        yield np.flatnonzero(which.ravel() == i), dict(zip(own, row.tolist(), strict=True))
+
+
+class _Block:
+    """The scenes of a block, and their answers as they come."""
+
+    def __init__(self, job: Job, columns: dict[str, np.ndarray]):
+        self.job, self.columns = job, columns
+        self.count = len(next(iter(columns.values())))
+        self.answer = empty_answer(self.count, job.curves)
+        self.groups: list[tuple[np.ndarray, Scene]] = []
+        for which, values in _groups(list(columns), columns, self.count):
+            try:
+                self.groups.append((which, job.scene.replace(**values)))
+            except ValueError:
+                self.answer["outcome"][which] = int(Answer.invalid_scene)
+
+    def loadings(self, which: np.ndarray) -> dict[str, np.ndarray]:
+        """The varied parameters of the loading, of some scenes."""
+        return {n: column[which] for n, column in self.columns.items() if place_of(n)[0] == "loading"}
+
+    def scenes(self, which: np.ndarray) -> list[Scene]:
+        """The scenes of some places, in their order."""
+        places = {int(i): scene for own, scene in self.groups for i in np.intersect1d(own, which)}
+        given = self.loadings(which)
+        return [
+            places[int(i)].replace(**{name: float(column[k]) for name, column in given.items()})
+            for k, i in enumerate(which)
+        ]
+
+    def put(self, which: np.ndarray, found: dict[str, np.ndarray]) -> None:
+        for name, values in found.items():
+            self.answer[name][which] = values
+
+    def halved(self, compute, which: np.ndarray) -> None:
+        """Puts `compute(which)`; where computing them together ends in an error, of each half."""
+        if not which.size:
+            return
+        try:
+            self.put(which, compute(which))
+        except _ERRORS:
+            if len(which) == 1:
+                self.answer["outcome"][which] = int(Answer.failed)
+                return
+            for own in np.array_split(which, 2):
+                self.halved(compute, own)
+
+    def by_surface(self) -> None:
+        for which, scene in self.groups:
+            self.halved(lambda own, scene=scene: _on_surface(self.job, scene, self.loadings(own), len(own)), which)
+
+    def by_continuation(self, which: np.ndarray) -> None:
+        def compute(own):
+            batch = continue_scenes(self.scenes(own), tolerance=self.job.tolerance)
+            return answers_of(batch.ramps, Source.continuation, batch.code)
+
+        self.halved(compute, which)
+
+    def by_diagrams(self, which: np.ndarray) -> None:
+        def compute(own):
+            try:
+                return answer_of_diagram(voltage_volume(self.scenes(own)[0], tolerance=self.job.tolerance))
+            except SceneError as error:
+                return {"outcome": np.int8(Answer.no_answer), "code": np.int8(error.code)}
+
+        for i in which:
+            self.halved(compute, np.array([i]))
+
+    def left(self) -> np.ndarray:
+        """The scenes that no engine has decided yet."""
+        ended = np.isin(self.answer["outcome"], [int(Answer.unresolved), int(Answer.breakdown_on_branch)])
+        return np.flatnonzero(ended & (self.answer["regime"] == int(Regime.not_decided)))
+
+
+_ERRORS = ValueError, ArithmeticError, LookupError, RuntimeError, TypeError
+
+
+def compute_block(job: Job, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The variables of a block of scenes: arrays (scenes, …).
+
+    `columns` are the varied parameters. A scene that cannot be, or whose computing ends in an error, is told as such and
+    leaves the others alone.
+    """
+    make_ready(job)
+    block = _Block(job, columns)
+    if job.engine == "surface":
+        block.by_surface()
+    else:
+        block.by_continuation(np.sort(np.concatenate([np.array([], int), *(which for which, _ in block.groups)])))
+    if job.resolve:
+        if job.engine == "surface":
+            block.by_continuation(block.left())
+        block.by_diagrams(block.left())
+    return block.answer
+
+
+def _on_surface(job: Job, scene: Scene, loadings: dict, count: int) -> dict[str, np.ndarray]:
+    """The variables of loadings of one membrane, from its surface."""
+    found = empty_answer(count, job.curves)
+    found["outcome"][:] = int(Answer.unresolved)
+    try:
+        surface = surface_of(scene.membrane, job.tolerance, job.family)
+    except ValueError:  # no part of the chart meets the tolerance
+        return found
+    given = _columns_of(scene, loadings, count)
+    if "initial_pressure" in given:
+        filling = given.pop("initial_pressure")
+        volumes = filling_volumes(surface, np.where(filling > 0, filling, 1.0))
+        given["initial_volume"] = np.where(filling > 0, volumes, np.nan)
+    # a flat film is no state of the surface
+    good = np.all([np.isfinite(v) & ((v > 0) | (n == "atmospheric_pressure")) for n, v in given.items()], axis=0)
+    which = np.flatnonzero(good)
+    if not which.size:
+        return found
+    given = {name: values[which] for name, values in given.items()}
+    if isinstance(scene.loading, Chamber):
+        lanes = given.pop("chamber_volume"), given.pop("initial_volume")
+        told, curves = chamber_ramps(surface, *lanes, **given), None
+        if job.curves:
+            curves = chamber_curves(surface, *lanes, **given)
+    else:
+        told = pressure_ramps(surface, given["pressure"])
+        curves = pressure_curves(surface, given["pressure"]) if job.curves else None
+    for name, values in answers_of(told, Source.surface).items():
+        found[name][which] = values
+    if curves is not None:
+        apex = np.broadcast_to(curves.apex_stretch, curves.pressure.shape)
+        error = np.asarray(surface.error_bound(apex, np.nan_to_num(curves.voltage_squared)))
+        known = np.isfinite(curves.volume)
+        found["curve_apex_stretch"][which] = np.where(known, apex, np.nan)
+        found["curve_error"][which] = np.where(known, error, np.nan)
+        for name in ("voltage_squared", "pressure", "volume"):
+            found[f"curve_{name}"][which] = getattr(curves, name)
+    return found
+
+
+def _columns_of(scene: Scene, loadings: dict, count: int) -> dict[str, typing.Any]:
+    """Every parameter of the loading as a column, from those that vary and from the scene."""
+    loading, found = scene.loading, {}
+    names = [n for n, path in PARAMETERS.items() if path[0] == "loading" and scene.has(n)]
+    filled = [name for name in ("initial_volume", "initial_pressure") if name in loadings]
+    for name in names:
+        value = loadings.get(name, getattr(loading, PARAMETERS[name][-1]))
+        if value is None or (filled and name.startswith("initial_") and name not in filled):
+            continue
+        found[name] = np.broadcast_to(np.asarray(value, float), (count,))
+    if isinstance(loading, ConstantPressure):
+        return {"pressure": found["pressure"]}
+    return found
+
+
+def block_size(job: Job, count: int) -> int:
+    """How many of `count` scenes make a block: about a sixteenth, within what is quick and fits in memory; a power of two.
+
+    It depends on the sweep alone, so that two runs of one sweep lay their stores out alike.
+    """
+    slow = job.engine == "continuation"
+    least, most = (32, 128) if slow else (256, 1024 if job.curves or job.resolve else 8192)
+    return int(min(max(2 ** round(math.log2(max(count / 16, 1.0))), least), most))

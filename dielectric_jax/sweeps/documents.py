@@ -1,0 +1,182 @@
+"""Scenes written down in TOML: tables of parameters by their published names, refused in one sentence where they are wrong."""
+
+import os
+import tomllib
+import typing
+
+import numpy as np
+
+from .axes import MOST_VALUES
+from ..model.elastomers import MooneyRivlin, Ogden
+from ..model.loading import Chamber, ConstantPressure
+from ..model.materials import ArrudaBoyce, ConstantBreakdown, Gent, NeoHookean, VHBBreakdown
+from ..model.membrane import Membrane
+from ..numerics.codes import LARGEST, check_whole, shown
+from ..model.scene import PARAMETERS, Scene, Window
+from ..model.units import Units
+
+__all__ = ["check_dimensionless", "number", "one_of", "read_toml", "refuse", "scene_of", "table", "values"]
+
+_MATERIALS = {
+    "gent": Gent,
+    "neo-hookean": NeoHookean,
+    "arruda-boyce": ArrudaBoyce,
+    "mooney-rivlin": MooneyRivlin,
+    "ogden": Ogden,
+}
+_LISTS = ("moduli", "exponents")
+#: where the dimensionless numbers of chambers and films lie that occur
+_USUAL = {
+    "chamber_volume": (0.1, 1e7),
+    "initial_volume": (1e-3, 1e4),
+    "initial_pressure": (1e-3, 100.0),
+    "pressure": (1e-3, 100.0),
+    "atmospheric_pressure": (1e-2, 5e3),
+    "breakdown": (1e-2, 1e4),
+}
+_PLACES = ("loading", "membrane", "breakdown", "material")
+
+
+def read_toml(path: str | os.PathLike) -> dict[str, typing.Any]:
+    """What a file of TOML holds; raises ValueError where it cannot be read, or holds something else."""
+    name = os.fspath(path)
+    try:
+        with open(path, "rb") as file:
+            return tomllib.load(file)
+    except OSError as error:
+        raise ValueError(
+            f"`SPEC` must be a file that can be read, but {shown(name)} is not: {error.strerror}."
+        ) from None
+    except (ValueError, RecursionError) as error:  # no TOML, no UTF-8, a name or a number that Python refuses
+        raise ValueError(f"`SPEC` must be a file of TOML, but {shown(name)} is not: {error}.") from None
+
+
+def refuse(where: str, given: typing.Iterable[str], allowed: typing.Iterable[str]) -> None:
+    """Raises ValueError for a name of the table `where` that is not allowed."""
+    for name in given:
+        if name not in allowed:
+            place = f" in [{where}]" if where else ""
+            raise ValueError(f"`{name}`{place} must be one of {', '.join(allowed)}, but is none of them.")
+
+
+def table(name: str, value: typing.Any) -> dict:
+    """The value, if it is a table."""
+    if not isinstance(value, dict):
+        raise ValueError(f"`{name}` must be a table, but is {shown(value)}.")
+    return value
+
+
+def number(where: str, name: str, value: typing.Any) -> float:
+    """The value, if it is a finite number."""
+    place = f" in [{where}]" if where else ""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ValueError(f"`{name}`{place} must be a number, but is {shown(value)}.")
+    if not abs(value) <= LARGEST:  # also an integer that is too large for a float
+        raise ValueError(f"`{name}`{place} must be finite and at most {LARGEST:g} in size, but is {shown(value)}.")
+    return float(value)
+
+
+def one_of(where: str, name: str, value: typing.Any, allowed: typing.Iterable[str]) -> str:
+    """The value, if it is one of some words."""
+    if not (isinstance(value, str) and value in allowed):
+        raise ValueError(f"`{name}` in [{where}] must be one of {', '.join(allowed)}, but is {shown(value)}.")
+    return value
+
+
+def _pair(name: str, value: typing.Any) -> tuple[float, float] | None:
+    """The two numbers of a window; None where it is not given."""
+    if value is None:
+        return None
+    if not (isinstance(value, list) and len(value) == 2):
+        raise ValueError(f"`{name}` in [scene] must be a pair [low, high], but is {shown(value)}.")
+    return number("scene", name, value[0]), number("scene", name, value[1])
+
+
+def scene_of(given: dict[str, typing.Any], constants: dict[str, typing.Any] | None = None) -> Scene:
+    """The scene of parameters by their published names, `material` and `breakdown` ("vhb" or a field), and windows.
+
+    `constants` (shear_modulus, thickness, radius, permittivity, in SI) are those of the units that the scene carries; its
+    other numbers are dimensionless all the same. Without them the inverse of `describe`. Raises ValueError for names that a
+    scene does not have.
+
+    >>> scene = scene_of({"material": "neo-hookean", "pressure": 1.5, "prestretch": 1.2})
+    >>> float(scene.loading.pressure), float(scene.membrane.prestretch)
+    (1.5, 1.2)
+    """
+    names = [n for n, path in PARAMETERS.items() if path[-2] in _PLACES and n != "volume"]
+    refuse("scene", given, ("material", "breakdown", "stretch_window", "load_window", *names))
+    material = one_of("scene", "material", given.get("material", "gent"), _MATERIALS)
+    numbers = {
+        n: values("scene", n, v) if n in _LISTS else number("scene", n, v) for n, v in given.items() if n in PARAMETERS
+    }
+    parts: dict[str, dict[str, typing.Any]] = {place: {} for place in _PLACES}
+    for name, value in numbers.items():
+        parts[PARAMETERS[name][-2]][PARAMETERS[name][-1]] = value
+    breakdown = given.get("breakdown", "vhb")
+    if isinstance(breakdown, str) and breakdown != "vhb":
+        raise ValueError(f"`breakdown` in [scene] must be 'vhb' or a field, but is {shown(breakdown)}.")
+    field = () if breakdown == "vhb" else (number("scene", "breakdown", breakdown),)
+    constants = {} if constants is None else constants
+    refuse("units", constants, [n for n, path in PARAMETERS.items() if path[0] == "units"])
+    units = Units(**{n: number("units", n, v) for n, v in constants.items()}) if constants else None
+    if not field and units is not None:
+        parts["breakdown"] |= {n: getattr(units, n) for n in ("shear_modulus", "relative_permittivity")}
+    try:
+        law = (ConstantBreakdown if field else VHBBreakdown)(*field, **parts["breakdown"])
+        film = _MATERIALS[material](**parts["material"])
+    except TypeError:
+        own = ", ".join(n for n in numbers if PARAMETERS[n][-2] in ("breakdown", "material"))
+        raise ValueError(f"`material` and `breakdown` must have the parameters {own}, but one does not.") from None
+    membrane = Membrane(film, breakdown=law, **parts["membrane"])
+    loading = parts["loading"]
+    if ("pressure" in loading) == ("volume" in loading):
+        raise ValueError("`pressure` or `chamber_volume` must be given, one of the two, but both or neither are.")
+    if "pressure" in loading and len(loading) > 1:
+        raise ValueError("`pressure` must be given without the parameters of a chamber, but some are given.")
+    window = Window(*(_pair(name, given.get(name)) for name in ("stretch_window", "load_window")))
+    if "pressure" in loading:
+        return Scene(membrane, ConstantPressure(loading["pressure"]), window, units)
+    return Scene(membrane, Chamber(**typing.cast(typing.Any, loading)), window, units)
+
+
+def check_dimensionless(given: dict[str, typing.Any], constants: dict[str, typing.Any]) -> None:
+    """Refuses numbers of a scene, or lists of them, that are SI by the look of them: the documents are dimensionless.
+
+    A number looks so where it is far from what occurs and would not be if it were in SI. With `constants` of units, which
+    invite SI, one such number is enough; without, it takes two, for the membrane of the paper.
+    """
+    units = Units(**{n: number("units", n, v) for n, v in constants.items()})
+    found = []
+    for name, (low, high) in _USUAL.items():
+        value = given.get(name)
+        if value is None or isinstance(value, str):
+            continue
+        size, scale = np.atleast_1d(np.asarray(value, float)), float(units.scale(name))
+        with np.errstate(all="ignore"):
+            usual, usual_in_si = ((v >= low) & (v <= high) for v in (size, size / scale))
+        if size.size and (usual_in_si & ~usual).all():
+            found.append((name, float(size[0]), float(size[0]) / scale))
+    if len(found) > (0 if constants else 1):
+        name, value, would_be = found[0]
+        raise ValueError(
+            f"`{name}` must be dimensionless, with or without [units], but {value:g} looks like SI: {value:g} "
+            f"{Units.names()[name]} would be {would_be:.6g}; divide numbers in SI by their units, as Units.from_si does."
+        )
+
+
+def values(where: str, name: str, given: typing.Any) -> np.ndarray:
+    """The values of a parameter: a list, or {from, to, count, spacing = "linear" or "log"}."""
+    if isinstance(given, list):
+        return np.array([number(where, name, v) for v in given])
+    own = table(name, given)
+    refuse(f"{where}.{name}", own, ("from", "to", "count", "spacing"))
+    missing = [key for key in ("from", "to", "count") if key not in own]
+    if missing:
+        raise ValueError(f"`{missing[0]}` must be given for `{name}` in [{where}], but is not.")
+    low, high = (number(where, key, own[key]) for key in ("from", "to"))
+    count, spacing = own["count"], own.get("spacing", "linear")
+    check_whole("count", count, 1, MOST_VALUES, where=f"{where}.{name}")
+    one_of(f"{where}.{name}", "spacing", spacing, ("linear", "log"))
+    if spacing == "log" and not min(low, high) > 0:
+        raise ValueError(f"`from` and `to` must be positive with spacing log for `{name}` in [{where}].")
+    return (np.geomspace if spacing == "log" else np.linspace)(low, high, count)

@@ -1,0 +1,126 @@
+"""Sweeps written down: a file of TOML that says which scene, which parameters vary and how, and with which engine."""
+
+import dataclasses
+import pathlib
+import typing
+
+import numpy as np
+
+from .axes import Axis, axes_of, read_scenes, samples, zipped
+from .documents import check_dimensionless, number, one_of, read_toml, refuse, scene_of, table, values
+from ..numerics.codes import shown
+from ..model.scene import Scene, place_of
+
+__all__ = ["read_specification"]
+
+_OPTIONS = {"engine": str, "resolve": bool, "curves": bool, "tolerance": float, "block": int}
+_TABLES = ("scene", "units", "product", "zip", "samples", "table")
+_DISTRIBUTIONS = {
+    "uniform": ("from", "to"),
+    "loguniform": ("from", "to"),
+    "normal": ("mean", "standard_deviation"),
+    "lognormal": ("median", "factor"),
+    "triangular": ("from", "to", "mode"),
+}
+
+
+def _distribution(where: str, name: str, given: typing.Any):
+    """A distribution of scipy.stats by its name and numbers."""
+    from scipy import stats
+
+    own = dict(table(name, given))
+    kind = one_of(f"{where}.{name}", "distribution", own.pop("distribution", "uniform"), _DISTRIBUTIONS)
+    keys = _DISTRIBUTIONS[kind]
+    refuse(f"{where}.{name}", own, keys)
+    missing = [key for key in keys if key not in own]
+    if missing:
+        raise ValueError(f"`{missing[0]}` must be given for `{name}` in [{where}], but is not.")
+    a, b, *more = (number(where, key, own[key]) for key in keys)
+    rising = kind in ("normal", "lognormal") or a < b
+    inside = not more or a <= more[0] <= b
+    positive = {"loguniform": a > 0, "normal": b > 0, "lognormal": a > 0 and b > 1}.get(kind, True)
+    if not (rising and inside and positive):
+        told = ", ".join(f"{key} {value:g}" for key, value in zip(keys, (a, b, *more), strict=True))
+        raise ValueError(f"`{name}` in [{where}] must have a {kind} distribution, but {told} make none.")
+    return {
+        "uniform": lambda: stats.uniform(a, b - a),
+        "loguniform": lambda: stats.loguniform(a, b),
+        "normal": lambda: stats.norm(a, b),
+        "lognormal": lambda: stats.lognorm(np.log(b), scale=a),
+        "triangular": lambda: stats.triang((more[0] - a) / (b - a), a, b - a),
+    }[kind]()
+
+
+def _axes(document: dict, folder: pathlib.Path) -> list[Axis]:
+    product = {n: values("product", n, v) for n, v in table("product", document.get("product", {})).items()}
+    axes = list(axes_of(product))
+    for dimension, columns in table("zip", document.get("zip", {})).items():
+        where = f"zip.{dimension}"
+        axes.append(zipped(dimension, **{n: values(where, n, v) for n, v in table(where, columns).items()}))
+    for dimension, given in table("samples", document.get("samples", {})).items():
+        where, own = f"samples.{dimension}", dict(table(f"samples.{dimension}", given))
+        if "count" not in own:
+            raise ValueError(f"`count` must be given in [{where}], but is not.")
+        options: dict[str, typing.Any] = {key: own.pop(key) for key in ("method", "seed") if key in own}
+        count = own.pop("count")
+        drawn: dict[str, typing.Any] = {name: _distribution(where, name, v) for name, v in own.items()}
+        axes.append(samples(count, dimension, **options, **drawn))
+    for dimension, given in table("table", document.get("table", {})).items():
+        own = table(f"table.{dimension}", given)
+        refuse(f"table.{dimension}", own, ("file",))
+        file = own.get("file")
+        if not (isinstance(file, str) and file):
+            raise ValueError(f"`file` must name a CSV file in [table.{dimension}], but is {shown(file)}.")
+        axes.append(read_scenes(folder / file, dimension))
+    return axes
+
+
+def read_specification(path) -> tuple[Scene, list[Axis], dict[str, typing.Any]]:
+    """The scene, the axes and the options (keyword arguments of `sweep`) that a file of TOML asks for.
+
+    [scene] gives the scene, [units] the constants in SI that it carries, if any, [product] lists of values, [zip.NAME] parameters that vary together, [samples.NAME]
+    distributions, [table.NAME] a CSV file; `engine`, `resolve`, `curves`, `tolerance` and `block` stand above them.
+    Raises ValueError in one sentence that names what is wrong.
+    """
+    path = pathlib.Path(path)
+    document = read_toml(path)
+    for name in document:
+        if name not in (*_OPTIONS, *_TABLES):
+            allowed = ", ".join((*_OPTIONS, *(f"[{t}]" for t in _TABLES)))
+            raise ValueError(f"`{name}` in {str(path)!r} must be one of {allowed}, but is none of them.")
+    options = {name: document[name] for name in _OPTIONS if name in document}
+    for name, value in options.items():
+        kind = _OPTIONS[name]
+        good = isinstance(value, (int, float)) if kind is float else isinstance(value, kind)
+        if not good or (isinstance(value, bool) and kind is not bool):
+            what = {str: "a text", bool: "true or false", float: "a number", int: "a whole number"}[kind]
+            raise ValueError(f"`{name}` in {str(path)!r} must be {what}, but is {shown(value)}.")
+        if kind is float:
+            options[name] = number("", name, value)
+    axes = _axes(document, path.parent)
+    given = dict(table("scene", document.get("scene", {})))
+    varied = {name: float(column[0]) for axis in axes for name, column in axis.columns.items()}
+    if any(name.startswith("initial_") for name in varied):
+        given = {name: value for name, value in given.items() if not name.startswith("initial_")}
+    constants = dict(table("units", document.get("units", {})))
+    of_units = [n for n in varied if place_of(n)[0] == "units"]
+    if of_units and not constants:
+        raise ValueError(f"`{of_units[0]}` must have a [units] table of the scene's own constants, but there is none.")
+    columns = {name: column for axis in axes for name, column in axis.columns.items()}
+    scene = scene_of(given | {n: v for n, v in varied.items() if n not in of_units}, constants)
+    check_dimensionless(given | columns, constants)
+    scaled = [n for n in varied if place_of(n)[0] == "loading" and _changes_with(n, of_units, scene)]
+    if scaled:
+        raise ValueError(
+            f"`{scaled[0]}` must not vary together with `{of_units[0]}`, which changes the unit it is counted in; give it in "
+            "[scene], where it keeps its size in SI."
+        )
+    return scene, axes, options
+
+
+def _changes_with(name: str, of_units: list[str], scene: Scene) -> bool:
+    """Whether the unit of a quantity depends on any of these constants of the units."""
+    units = scene.units
+    return units is not None and any(
+        dataclasses.replace(units, **{n: 2 * getattr(units, n)}).scale(name) != units.scale(name) for n in of_units
+    )

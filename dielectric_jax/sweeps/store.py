@@ -1,0 +1,253 @@
+"""Where the blocks of a sweep are kept: in memory, or in a zarr store that survives its writer.
+
+A block is a chunk of every variable. Its chunks are written first, each at once by renaming, then its checksum, then its
+`block_done`: whatever happens, a block is done with all its numbers or is not done.
+"""
+
+import contextlib
+import importlib
+import json
+import os
+import pathlib
+import shutil
+import typing
+import warnings
+import zlib
+
+import numpy as np
+
+from .axes import Design
+from .variables import PARAMETER_ATTRIBUTES, Variable, described
+from ..numerics.locks import Locked, alone
+from ..numerics.codes import StoreError
+
+__all__ = ["Memory", "ZarrStore", "need", "open_group"]
+
+_FORMAT = "dielectric_jax sweep 1"
+_PART = 1 << 20  # values of a coordinate in one chunk
+
+
+def need(module: str, extra: str = "io") -> typing.Any:
+    """The imported module; raises ImportError with one sentence that names the extra that holds it."""
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        package = module.partition(".")[0]
+        raise ImportError(
+            f'`{package}` must be installed for this, but is not: pip install "dielectric-jax[{extra}]".'
+        ) from None
+
+
+def checksum(arrays: dict[str, np.ndarray]) -> int:
+    """A number that tells the arrays of a block from damaged ones."""
+    value = 0
+    for name in sorted(arrays):
+        value = zlib.crc32(np.ascontiguousarray(arrays[name]).data.cast("B"), zlib.crc32(name.encode(), value))
+    return value
+
+
+def coordinates_of(design: Design) -> dict[str, tuple[str, np.ndarray, dict]]:
+    """The coordinates of a design: dimension, values and attributes of each; a dimension without a parameter counts."""
+    found: dict = {}
+    for axis in design.axes:
+        for name, values in axis.columns.items():
+            found[name] = axis.dimension, values, described(*PARAMETER_ATTRIBUTES.get(name, (name, "1")))
+        if axis.dimension not in axis.columns:
+            found[axis.dimension] = (
+                axis.dimension,
+                np.arange(axis.size),
+                {"long_name": f"number along {axis.dimension}"},
+            )
+    return found
+
+
+class Memory:
+    """Keeps the blocks of a sweep in arrays."""
+
+    def __init__(self, design: Design, chunk: tuple[int, ...], variables: list[Variable]):
+        self.chunk, self.parts = chunk, design.blocks(chunk)
+        self.done = np.zeros(len(self.parts), bool)
+        self._variables = variables
+        self._arrays = {
+            v.name: np.full((*design.shape, *v.dims.values()), v.fill, v.dtype) for v in variables
+        }  # fmt: skip
+        self._design = design
+
+    def write(self, number: int, answer: dict[str, np.ndarray]) -> None:
+        """Keeps the variables of a block."""
+        for name, array in self._arrays.items():
+            target = array[self.parts[number]]
+            target[...] = answer[name].reshape(target.shape)
+        self.done[number] = True
+
+    def dataset(self, attributes: dict):
+        """Everything as an `xarray.Dataset`."""
+        xarray = need("xarray")
+        dims = self._design.dimensions
+        data = {v.name: ((*dims, *v.dims), self._arrays[v.name], v.attributes) for v in self._variables}
+        coordinates = {name: (dim, values, more) for name, (dim, values, more) in coordinates_of(self._design).items()}
+        return xarray.Dataset(data, coordinates, attributes)
+
+
+class ZarrStore:
+    """Keeps the blocks of a sweep in a zarr store; open one with `ZarrStore.create` or `ZarrStore.resume`."""
+
+    def __init__(self, path: pathlib.Path, group, design: Design, variables: list[Variable]):
+        self.path, self._group, self._design, self._variables = path, group, design, variables
+        self.chunk = tuple(int(c) for c in group.attrs["block_shape"])
+        self.parts = design.blocks(self.chunk)
+        self.done = np.asarray(group["block_done"][:])
+        self._opened = {v.name: group[v.name] for v in variables}
+
+    @staticmethod
+    @contextlib.contextmanager
+    def create(path, design: Design, chunk: tuple[int, ...], variables: list[Variable], attributes: dict):
+        """A new store, held against other writers; it appears whole or not at all."""
+        zarr = need("zarr")
+        path = pathlib.Path(path)
+        part = path.with_name(path.name + ".part")
+        part.mkdir(parents=True, exist_ok=True)
+        with _held(part, path):
+            if path.exists():
+                raise StoreError(f"{str(path)!r} is there already; resume it, or name another store.")
+            for old in part.iterdir():
+                shutil.rmtree(old) if old.is_dir() else old.unlink()
+            _fill(zarr, part, design, chunk, variables, attributes)
+            os.rename(part, path)
+            yield ZarrStore(path, zarr.open_group(str(path), mode="r+", use_consolidated=False), design, variables)
+
+    @staticmethod
+    @contextlib.contextmanager
+    def resume(path, design: Design, variables: list[Variable], attributes: dict, accept_versions: bool):
+        """A store that is there, held against other writers, where it goes with the sweep. Damaged blocks are to do again."""
+        zarr = need("zarr")
+        path = pathlib.Path(path)
+        with _held(path, path):
+            group = open_group(path, mode="r+")
+            _compare(path, dict(group.attrs), attributes, accept_versions)
+            for half in path.rglob("*.partial"):  # what a killed writer left
+                half.unlink(missing_ok=True)
+            store = ZarrStore(path, group, design, variables)
+            history = f"{group.attrs['history']}\n{attributes['history']}"
+            group.attrs.update({"history": history, "versions": attributes["versions"]})
+            _consolidate(zarr, path)
+            yield store
+
+    def damaged(self) -> list[int]:
+        """The blocks that are done and whose numbers are not those that were written."""
+        sums = np.asarray(self._group["block_checksum"][:])
+        found = []
+        for number in np.flatnonzero(self.done):
+            try:
+                kept = {name: np.asarray(array[self.parts[number]]) for name, array in self._opened.items()}
+                whole = checksum(kept) == sums[number]
+            except Exception:  # whatever the decoder makes of damaged bytes
+                whole = False
+            if not whole:
+                found.append(int(number))
+        return found
+
+    def forget(self, numbers: list[int]) -> None:
+        """Marks blocks as not done."""
+        for number in numbers:
+            self._group["block_done"][number] = False
+            self.done[number] = False
+
+    def write(self, number: int, answer: dict[str, np.ndarray]) -> None:
+        """Keeps the variables of a block, all or nothing."""
+        part, arrays = self.parts[number], {}
+        lengths = [s.stop - s.start for s in part]
+        try:
+            for v in self._variables:
+                arrays[v.name] = np.ascontiguousarray(answer[v.name].reshape(*lengths, *v.dims.values()), v.dtype)
+                self._opened[v.name][part] = arrays[v.name]
+            self._group["block_checksum"][number] = checksum(arrays)
+            self._group["block_done"][number] = True
+        except OSError as error:
+            raise StoreError(
+                f"{str(self.path)!r} could not be written: {error.strerror or error}; what is finished is kept, resume goes on."
+            ) from error
+        self.done[number] = True
+
+
+@contextlib.contextmanager
+def _held(folder: pathlib.Path, path: pathlib.Path):
+    try:
+        with alone(folder, wait=False):
+            yield
+    except Locked:
+        raise StoreError(f"{str(path)!r} is being written by another process.") from None
+
+
+def _fill(zarr, path: pathlib.Path, design: Design, chunk, variables: list[Variable], attributes: dict) -> None:
+    """Writes the metadata of every variable, and the coordinates."""
+    group = zarr.create_group(str(path), attributes={"format": _FORMAT, "block_shape": list(chunk), **attributes})
+    blocks = len(design.blocks(chunk))
+    names = []
+    for name, (dim, values, more) in coordinates_of(design).items():
+        size = min(len(values), _PART)
+        options = {"dimension_names": (dim,), "attributes": more}
+        group.create_array(name, shape=values.shape, chunks=(size,), dtype=values.dtype, **options)[:] = values
+        names += [name] if name != dim else []
+    if names:
+        group.attrs["coordinates"] = " ".join(names)
+    for v in variables:
+        attributes = {
+            k: value.tolist() if isinstance(value, np.ndarray) else value for k, value in v.attributes.items()
+        }
+        group.create_array(
+            v.name,
+            shape=(*design.shape, *v.dims.values()),
+            chunks=(*chunk, *v.dims.values()),
+            dtype=v.dtype,
+            fill_value=v.fill,
+            dimension_names=(*design.dimensions, *v.dims),
+            attributes=attributes,
+        )
+    for name, dtype, words in (
+        ("block_done", "bool", "whether the block is written"),
+        ("block_checksum", "uint32", "CRC-32 of the variables of the block"),
+    ):
+        options = {"dimension_names": ("block",), "attributes": {"long_name": words}}
+        group.create_array(name, shape=(blocks,), chunks=(1,), dtype=dtype, fill_value=0, **options)
+    _consolidate(zarr, path)
+
+
+def _consolidate(zarr, path: pathlib.Path) -> None:
+    """All metadata in one place, so that other programs open the store at once."""
+    with warnings.catch_warnings():
+        # zarr's own remark that consolidated metadata is an extension of the format
+        warnings.filterwarnings("ignore", message="Consolidated metadata is currently not part")
+        zarr.consolidate_metadata(str(path))
+
+
+def open_group(path, mode: typing.Literal["r", "r+"] = "r"):
+    """The zarr group of a sweep; raises ValueError in one sentence where there is none."""
+    zarr = need("zarr")
+    try:
+        group = zarr.open_group(str(path), mode=mode, use_consolidated=False)
+        kept = group.attrs.get("format")
+    except Exception:
+        raise ValueError(f"`path` must hold the store of a sweep, but {str(path)!r} does not.") from None
+    if kept != _FORMAT:
+        raise ValueError(
+            f"`path` must hold the store of a sweep of the format {_FORMAT!r}, but {str(path)!r} has {kept!r}."
+        )
+    return group
+
+
+def _compare(path: pathlib.Path, kept: dict, wanted: dict, accept_versions: bool) -> None:
+    """Refuses to go on with a store of another sweep, or of other versions."""
+    old, new = (json.loads(a["specification"]) for a in (kept, wanted))
+    for key in new | old:
+        if old.get(key) != new.get(key):
+            raise StoreError(
+                f"{str(path)!r} holds another sweep: `{key}` is {new.get(key)!r} here and {old.get(key)!r} there."
+            )
+    old, new = (json.loads(a["versions"]) for a in (kept, wanted))
+    changed = [f"{k} {old.get(k)} is now {new.get(k)}" for k in new | old if old.get(k) != new.get(k)]
+    if changed and not accept_versions:
+        raise StoreError(
+            f"{str(path)!r} was begun with other versions ({', '.join(changed)}), which may differ in the last digits; "
+            "accept the versions to go on with it."
+        )

@@ -1,0 +1,294 @@
+"""Sweeps: many scenes in one labelled dataset, in memory or in a store that survives whatever happens to its writer."""
+
+import contextlib
+import datetime
+import functools
+import hashlib
+import importlib.metadata
+import json
+import math
+import os
+import pathlib
+import pickle
+import platform
+import sys
+import typing
+
+import numpy as np
+
+from ..surface.files import fingerprint
+from .axes import Axis, Design, axes_of
+from ..numerics.cache import enabled_folder
+from .variables import Answer, variables_of
+from ..model.energies import require_float64
+from .executors import Progress, executor_of, run_blocks
+from ..numerics.compiled import source_digest
+from ..model.loading import Chamber, ConstantPressure
+from ..numerics.codes import StoreError, check_whole
+from ..model.scene import Scene, describe
+from ..diagram.states import check_request
+from .store import Memory, ZarrStore, need, open_group
+from ..surface.surface import check_tolerance
+from .blocks import Job, block_size, compute_block
+
+__all__ = ["open_sweep", "sweep"]
+
+_FAMILY_FROM = 9  # prestretches from which on their surfaces are taken from a family
+_PACKAGES = ("jax", "jaxlib", "diffrax", "equinox", "numpy", "scipy")
+_MOST_BLOCKS = 10**6  # of each of which a store keeps a file for every variable
+_UNANSWERED = (Answer.unresolved, Answer.no_answer, Answer.invalid_scene, Answer.failed)
+
+
+def sweep(
+    scene: Scene,
+    *axes: Axis,
+    output: str | os.PathLike | None = None,
+    resume: bool = False,
+    accept_versions: bool = False,
+    engine: str = "surface",
+    resolve: bool = False,
+    curves: bool = False,
+    tolerance: float = 1e-9,
+    block: int | None = None,
+    executor: typing.Any = None,
+    progress: bool | None = None,
+    **parameters: typing.Any,
+) -> typing.Any:
+    """The ramps and special points of many scenes: an `xarray.Dataset` on the product of all axes.
+
+    Every parameter (`PARAMETERS`) given a list makes an axis of its name; `zipped`, `samples` and `read_scenes` make axes
+    along which several vary together. All other parameters are those of `scene`.
+
+    Args:
+        scene: the scene around which parameters vary.
+        *axes: axes of several parameters.
+        output: a zarr store to write block by block; the answer is then read from it as it is needed. In memory when None.
+        resume: go on with the store where there is one, with its own size of blocks.
+        accept_versions: go on with a store that other versions began.
+        engine: "surface", or "continuation", which needs no surface of every membrane.
+        resolve: leave nothing open that continuation or a whole diagram decides.
+        curves: also the curves of voltage against volume, 256 states each (surface only).
+        tolerance: largest error of the surface, or of continuation.
+        block: scenes of a block; when None a sixteenth of all, from 256 to 8192 (surface) or 32 to 128 (continuation).
+        executor: None, a number of worker processes, the address of a Dask scheduler, or a `concurrent.futures.Executor`.
+        progress: show a bar; on a terminal and in a notebook when None.
+        **parameters: lists of values of parameters.
+
+    Returns:
+        The dataset; `outcome` and `regime` are codes (see their `flag_meanings`), and every value has its error beside it.
+
+    Raises:
+        ValueError: for bad input, in one sentence.
+        OSError: for a store that cannot be written, is there already, is being written, or holds another sweep.
+
+    >>> from dielectric_jax import Chamber, Membrane
+    >>> scene = Scene(Membrane(), Chamber(volume=1600.0, initial_volume=2.42))
+    >>> data = sweep(scene, chamber_volume=[800.0, 1600.0])
+    >>> [round(float(v), 9) for v in data.snap_voltage.sel(jump=0)]
+    [0.097199007, 0.07649536]
+    """
+    require_float64()
+    design = Design(scene, (*axes, *axes_of(parameters)))
+    job = _job(design, engine, resolve, curves, tolerance)
+    if block is not None:
+        check_whole("block", block, 1, 2**31 - 1)
+    if resume and output is None:
+        raise ValueError("`resume` must be given with `output` only, because memory holds nothing to resume.")
+    need("xarray")
+    if isinstance(executor, int) and executor is not True:
+        _check_pickle(job)
+    variables = variables_of(curves)
+    _check_names(design, variables)
+    attributes = _attributes(design, job)
+    path = None if output is None else pathlib.Path(output)
+    with executor_of(executor) as pool, contextlib.ExitStack() as stack:
+        if path is not None and resume and path.exists():
+            store = stack.enter_context(ZarrStore.resume(path, design, variables, attributes, accept_versions))
+            damaged = store.damaged()
+            store.forget(damaged)
+            for number in damaged:
+                _say(f"Block {number} of {str(path)!r} is damaged and computed again.")
+        elif path is not None and path.exists():
+            raise StoreError(f"{str(path)!r} is there already; resume it, or name another store.")
+        else:
+            chunk = design.chunk(block or block_size(job, design.count))
+            _check_size(design, chunk, variables, path is None)
+            if path is None:
+                store = Memory(design, chunk, variables)
+            else:
+                store = stack.enter_context(ZarrStore.create(path, design, chunk, variables, attributes))
+        _run(pool, job, design, store, progress)
+        if isinstance(store, Memory):
+            return store.dataset(attributes)
+    return open_sweep(typing.cast(pathlib.Path, path))
+
+
+def _job(design: Design, engine: str, resolve: bool, curves: bool, tolerance: float) -> Job:
+    if engine not in ("surface", "continuation"):
+        raise ValueError(f"`engine` must be 'surface' or 'continuation', but is {engine!r}.")
+    if engine == "surface":
+        check_tolerance(tolerance, "surface")
+    check_request(8, tolerance)
+    if curves and engine != "surface":
+        raise ValueError("`curves` must be asked for with the engine 'surface' only, not with 'continuation'.")
+    if not isinstance(design.scene.loading, (Chamber, ConstantPressure)):
+        raise ValueError(f"`scene` must have a Chamber or a ConstantPressure, but has {design.scene.loading!r}.")
+    windows = design.scene.window.apex_stretch is not None or design.scene.window.load_fraction != (-1.0, 1.0)
+    if windows and engine == "surface":
+        raise ValueError(
+            "`scene` must have the default window with the engine 'surface'; 'continuation' takes another."
+        )
+    stretches = [axis.columns["prestretch"] for axis in design.axes if "prestretch" in axis.columns]
+    family = None
+    if engine == "surface" and stretches and len(np.unique(stretches[0])) >= _FAMILY_FROM:
+        family = float(stretches[0].min()), float(stretches[0].max())
+    folder = enabled_folder()
+    return Job(design.scene, engine, resolve, curves, tolerance, family, None if folder is None else str(folder))
+
+
+def _check_size(design: Design, chunk, variables, in_memory: bool) -> None:
+    """Refuses a sweep whose blocks, or in memory whose numbers, are too many to be held."""
+    blocks = math.prod(-(-size // own) for size, own in zip(design.shape, chunk, strict=True))
+    if blocks > _MOST_BLOCKS:
+        raise ValueError(
+            f"`block` must be larger for {design.count} scenes, of which {blocks} blocks would be made; at most "
+            f"{_MOST_BLOCKS} can be."
+        )
+    needed = design.count * sum(np.dtype(v.dtype).itemsize * math.prod(v.dims.values()) for v in variables)
+    if in_memory and needed > memory():
+        raise ValueError(
+            f"`output` must name a store for {design.count} scenes, which take {needed / 2**30:.3g} GiB in memory, "
+            f"of which there are {memory() / 2**30:.3g} GiB."
+        )
+
+
+def _check_names(design: Design, variables) -> None:
+    """Refuses an axis with the name of a variable of the dataset, or of another of its dimensions."""
+    taken = {
+        "block",
+        "block_done",
+        "block_checksum",
+        *(v.name for v in variables),
+        *(d for v in variables for d in v.dims),
+    }
+    for name in design.dimensions:
+        if name in taken:
+            raise ValueError(
+                f"`{name}` must not be the name of an axis, because the dataset holds a variable of that name."
+            )
+
+
+def memory() -> int:
+    """The bytes of memory of this machine; 16 GiB where the system does not say."""
+    try:
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, OSError, ValueError):
+        return 2**34
+
+
+def _check_pickle(job: Job) -> None:
+    try:
+        pickle.dumps(job)
+    except Exception:
+        raise ValueError(
+            "`scene` must be sent to worker processes, but holds what cannot be, such as a function without a module; "
+            "compute in this process."
+        ) from None
+
+
+def _run(pool, job: Job, design: Design, store: Memory | ZarrStore, show: bool | None) -> None:
+    """Computes and keeps the blocks that are not done."""
+    sizes = [int(np.prod([s.stop - s.start for s in part])) for part in store.parts]
+    done = sum(size for size, known in zip(sizes, store.done, strict=True) if known)
+    left = [int(i) for i in design.order(store.chunk) if not store.done[i]]
+    tasks = [(i, functools.partial(_arguments, job, design, store.parts[i])) for i in left]
+    with Progress(design.count, done, show) as bar:
+
+        def keep(number, answer):
+            store.write(number, answer)
+            bar.add(sizes[number], int(np.isin(answer["outcome"], [int(a) for a in _UNANSWERED]).sum()))
+
+        # one worker fills the caches of programs and surfaces, from which the others read
+        alone = 1 if pool.workers > 1 else 0
+        run_blocks(pool, compute_block, tasks[:alone], keep)
+        run_blocks(pool, compute_block, tasks[alone:], keep)
+
+
+def _arguments(job: Job, design: Design, part) -> tuple:
+    return job, design.columns(part)
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+def _attributes(design: Design, job: Job) -> dict[str, str]:
+    """What the numbers come from: the sweep itself, versions, machine."""
+    versions = {"dielectric_jax": f"{importlib.metadata.version('dielectric-jax')}" if _installed() else "source"}
+    versions |= {"sources": source_digest()[:12]}
+    versions |= {name: importlib.metadata.version(name) for name in _PACKAGES}
+    axes = {
+        axis.dimension: {
+            name: f"{values.size} values {hashlib.sha256(values.tobytes()).hexdigest()[:12]}"
+            for name, values in axis.columns.items()
+        }
+        for axis in design.axes
+    }
+    scene = describe(design.scene)
+    for axis in design.axes:  # what varies does not belong to the scene
+        for name in axis.columns:
+            scene.pop(name, None)
+            if name.startswith("initial_"):
+                scene.pop("initial_volume", None)
+                scene.pop("initial_pressure", None)
+    if "custom" in str(scene["material"]) or not isinstance(scene["breakdown"], (str, float)):
+        scene["energies"] = hashlib.sha256(np.round(fingerprint(design.scene.membrane), 9).tobytes()).hexdigest()[:12]
+    window = design.scene.window
+    specification = {
+        "scene": scene,
+        "window": [window.apex_stretch and list(window.apex_stretch), list(window.load_fraction)],
+        "axes": axes,
+        "engine": job.engine,
+        "resolve": job.resolve,
+        "curves": job.curves,
+        "tolerance": job.tolerance,
+        "surfaces": "alone"
+        if job.family is None
+        else f"of a family for prestretch {job.family[0]!r} to {job.family[1]!r}",
+    }
+    now = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    machine = f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+    return {
+        "Conventions": "CF-1.11",
+        "title": "Ramps and special points of a dielectric elastomer membrane",
+        "source": "dielectric_jax",
+        "references": "https://doi.org/10.1016/j.jmps.2012.09.006",
+        "specification": json.dumps(specification),
+        "versions": json.dumps(versions),
+        "machine": machine,
+        "history": f"{now} sweep with dielectric_jax {versions['dielectric_jax']} on {machine}",
+    }
+
+
+def _installed() -> bool:
+    try:
+        importlib.metadata.version("dielectric-jax")
+    except importlib.metadata.PackageNotFoundError:
+        return False
+    return True
+
+
+def open_sweep(path, *, chunks: typing.Any = None):
+    """The dataset in a store, read as it is needed; also of a sweep that is not finished.
+
+    Scenes that are not computed yet have `outcome` `not_computed` and NaN. `chunks` as in `xarray.open_zarr`: with a
+    value other than None the variables are Dask arrays. Raises ValueError for what is no store of a sweep.
+    """
+    xarray = need("xarray")
+    group = open_group(path)
+    data = xarray.open_zarr(str(path), chunks=chunks)
+    done = int(np.asarray(group["block_done"][:]).sum())
+    data = data.drop_vars(["block_done", "block_checksum"])
+    for name in ("format", "block_shape"):
+        data.attrs.pop(name, None)
+    return data.assign_attrs(blocks_done=done, blocks=int(group["block_done"].shape[0]))

@@ -1,0 +1,265 @@
+"""The variables of a sweep: their names, dimensions, units, and what they mean; and the answers of the engines as such.
+
+Every value has an error estimate beside it, named by the attribute `ancillary_variables` of the CF conventions; codes have
+`flag_values` and `flag_meanings`.
+"""
+
+import dataclasses
+import enum
+import typing
+
+import numpy as np
+
+from ..diagram.diagrams import Diagram
+from ..diagram.chambers import Ramps, ramps_of
+from ..model.materials import field_on
+from ..model.outcomes import FoldAhead, Outcome, Regime
+from ..diagram.ramp import ENDS
+from ..model.records import State
+from ..diagram.regimes import regime_of_diagram
+from ..numerics.codes import Code
+
+__all__ = [
+    "PARAMETER_ATTRIBUTES",
+    "Answer",
+    "Variable",
+    "answers_of",
+    "empty_answer",
+    "variables_of",
+]
+
+CURVE_POINTS = 256
+
+
+class Answer(enum.IntEnum):
+    """How a scene was answered, as the variable `outcome` holds it: those of `Outcome`, and what else may become of a scene."""
+
+    not_computed = -1
+    breakdown_on_branch = 0
+    breakdown_in_snap = 1
+    no_landing = 2
+    start_unstable = 3
+    unresolved = 4
+    ended_by_window = 5  # the ramp met the window's end, or the film went slack, before breakdown
+    no_answer = 6  # the scene has none: `code` says why
+    invalid_scene = 7  # its parameters exclude each other, such as a prestretch beyond the limiting stretch
+    failed = 8  # its computation ended in an error
+
+
+class Source(enum.IntEnum):
+    """Which engine answered a scene."""
+
+    none = -1
+    surface = 0
+    continuation = 1
+    diagram = 2
+
+
+@dataclasses.dataclass(frozen=True)
+class Variable:
+    """One variable of a sweep: `dims` are those beside the scene's, with their sizes."""
+
+    name: str
+    dims: dict[str, int]
+    dtype: str
+    fill: float
+    attributes: dict[str, typing.Any]
+
+
+_ANSWER_WORDS = {
+    "outcome": "how the ramp up ends",
+    "regime": "what a slow ramp of the voltage does: the way up, then the way down from the last landing",
+    "code": "why continuation ended or the scene has no answer, as in `dielectric_jax.Code`",
+    "answered_by": "which engine answered: the surface, continuation side by side, or a whole diagram",
+}
+_FLAGS = {"outcome": Answer, "regime": Regime, "code": Code, "answered_by": Source}
+
+#: points of a ramp: the field of `Ramps`, the dimension of its last axis and its size, and what the point is
+_POINTS = {
+    "start": (None, 0, "in which the ramp begins, at zero voltage"),
+    "snap": ("jump", 2, "at the fold from which the membrane snaps"),
+    "landing": ("jump", 2, "on which the snap lands"),
+    "breakdown": (None, 0, "of electric breakdown on the branch"),
+    "snap_back": ("jump", 2, "at the fold from which the membrane snaps back on the way down"),
+    "landing_back": ("jump", 2, "on which the snap back lands"),
+    "rest": (None, 0, "in which the way down ends, at zero voltage"),
+    "fold": ("fold_number", 6, "of a fold of the contour through the start, by rising stretch of the apex"),
+    "zero_voltage": (
+        "zero_number",
+        5,
+        "of the contour through the start at zero voltage, by rising stretch of the apex",
+    ),
+    "breakdown_crossing": ("crossing_number", 3, "at which the contour through the start meets breakdown"),
+}
+_FIELDS = {"fold": "folds", "breakdown_crossing": "breakdowns"}
+_AT_ZERO = ("start", "rest", "zero_voltage")
+_QUANTITIES = {
+    "apex_stretch": ("stretch of the apex", "1"),
+    "pressure": ("pressure", "mu H / A"),
+    "volume": ("volume below the membrane", "A^3"),
+    "voltage": ("voltage", "H sqrt(mu / epsilon)"),
+}
+_ERROR = "bound of the relative error |error|/max(|value|, 1e-3) of the volume and of the squared voltage"
+
+_SI = ("Pa", "m", "F m-1")
+#: attributes of the parameters as coordinates
+PARAMETER_ATTRIBUTES = {
+    "chamber_volume": ("volume of the chamber", "A^3"),
+    "initial_volume": ("filling of the chamber, as a volume", "A^3"),
+    "initial_pressure": ("filling of the chamber, as a pressure", "mu H / A"),
+    "atmospheric_pressure": ("pressure outside", "mu H / A"),
+    "polytropic_exponent": ("polytropic exponent of the gas", "1"),
+    "pressure": ("constant pressure", "mu H / A"),
+    "prestretch": ("stretch of the rim", "1"),
+    "breakdown_field_scale": ("factor of the breakdown field", "1"),
+    "stretch_limit": ("limit J of the Gent material", "1"),
+    "chain_links": ("links of a chain of the eight-chain material", "1"),
+    "c1": ("constant C1 of the Mooney-Rivlin material", "mu"),
+    "c2": ("constant C2 of the Mooney-Rivlin material", "mu"),
+    "thickness_coefficient": ("coefficient of the permittivity by the thickness", "1"),
+    "stretch_coefficient": ("coefficient of the permittivity by the stretches", "1"),
+    "shear_modulus": ("shear modulus", "Pa"),
+    "thickness": ("thickness of the undeformed film", "m"),
+    "radius": ("radius of the undeformed membrane", "m"),
+    "permittivity": ("permittivity of the film", "F m-1"),
+}
+
+
+def described(long_name: str, unit: str, **more) -> dict[str, typing.Any]:
+    """Attributes of a quantity: CF's unit of a dimensionless one is 1, and what it is counted in is told beside it."""
+    if unit in _SI:
+        return {"long_name": long_name, "units": unit, **more}
+    return {"long_name": long_name, "units": "1", "counted_in": unit, **more}
+
+
+def flags_of(name: str) -> dict[str, typing.Any]:
+    """Attributes of a variable of codes."""
+    members = list(_FLAGS[name])
+    meanings = " ".join(member.name for member in members)
+    values = np.array([int(member) for member in members], "int8")
+    return {"long_name": _ANSWER_WORDS[name], "flag_values": values, "flag_meanings": meanings}
+
+
+def variables_of(curves: bool) -> list[Variable]:
+    """The variables of a sweep, codes first."""
+    found = [
+        Variable("outcome", {}, "int8", int(Answer.not_computed), flags_of("outcome")),
+        Variable("regime", {}, "int8", int(Regime.not_decided), flags_of("regime")),
+        Variable("code", {}, "int8", int(Code.ok), flags_of("code")),
+        Variable("answered_by", {}, "int8", int(Source.none), flags_of("answered_by")),
+        Variable("snaps", {}, "int8", 0, {"long_name": "snaps of the way up", "units": "1"}),
+    ]
+
+    def number(name, dims, long_name, unit, error=None, **more):
+        attributes = described(long_name, unit, **more)
+        if error:
+            attributes["ancillary_variables"] = error
+        found.append(Variable(name, dims, "float64", np.nan, attributes))
+
+    strain = "(apex stretch at breakdown / apex stretch at the start)^2 - 1; without breakdown on the branch that of the last unbroken state"
+    number("area_strain", {}, "area strain of the apex", "1", "ramp_error", description=strain)
+    number("ramp_error", {}, "largest error of the events of the ramp", "1", description=_ERROR)
+    number("landing_ratio", {"jump": 2}, "E/E_EB at the landing, largest along the membrane", "1", "landing_error")
+    reach = "the contour is known between these stretches: all special points there are listed"
+    number("reach", {"end": 2}, "stretches of the apex between which the contour is known", "1", description=reach)
+    for point, (dim, size, words) in _POINTS.items():
+        dims = {} if dim is None else {dim: size}
+        for quantity, (long_name, unit) in _QUANTITIES.items():
+            if quantity != "voltage" or point not in _AT_ZERO:
+                number(f"{point}_{quantity}", dims, f"{long_name} of the state {words}", unit, f"{point}_error")
+        number(f"{point}_error", dims, f"error of the state {words}", "1", description=_ERROR)
+    if curves:
+        dims = {"curve_point": CURVE_POINTS}
+        for quantity, (long_name, unit) in _QUANTITIES.items():
+            own = ("voltage_squared", "squared voltage", "H^2 mu / epsilon") if quantity == "voltage" else None
+            name, long_name, unit = own or (quantity, long_name, unit)
+            number(f"curve_{name}", dims, f"{long_name} along the curve of voltage against volume", unit, "curve_error")
+        number("curve_error", dims, "error of the states of the curve", "1", description=_ERROR)
+    return found
+
+
+def empty_answer(count: int, curves: bool) -> dict[str, np.ndarray]:
+    """The variables of `count` scenes without an answer yet."""
+    return {v.name: np.full((count, *v.dims.values()), v.fill, v.dtype) for v in variables_of(curves)}
+
+
+def answers_of(ramps: Ramps, source: Source, code: typing.Any = Code.ok) -> dict[str, np.ndarray]:
+    """The variables of ramps (without curves); loadings along one axis."""
+    found = {
+        "outcome": np.asarray(ramps.outcome, "int8"),
+        "regime": ramps.regime,
+        "code": np.broadcast_to(np.asarray(code, "int8"), ramps.outcome.shape),
+        "answered_by": np.where(ramps.outcome == Outcome.unresolved, int(Source.none), int(source)).astype("int8"),
+        "snaps": np.asarray(ramps.snaps, "int8"),
+        "area_strain": ramps.area_strain,
+        "ramp_error": ramps.error,
+        "landing_ratio": ramps.landing_ratio,
+        "reach": ramps.reach,
+    }
+    for point in _POINTS:
+        states = getattr(ramps, _FIELDS.get(point, point))
+        for quantity in (*_QUANTITIES, "error"):
+            if quantity != "voltage" or point not in _AT_ZERO:
+                found[f"{point}_{quantity}"] = getattr(states, quantity)
+    return found
+
+
+def answer_of_diagram(diagram: Diagram) -> dict[str, np.ndarray]:
+    """The variables of one scene from its whole diagram, arrays of length 1."""
+    up = diagram.ramp()
+    down = [e for e in diagram.events if e.direction == "down"]
+    told = np.full((1, 5, 11), np.nan)
+    marks = {kind: np.full((1, 5, size), np.nan) for kind, size in (("fold", 6), ("zero_voltage", 5), ("breakdown", 3))}
+
+    def put(columns, i: int, state: State) -> None:
+        columns[0, :, i] = (
+            state.apex_stretch, state.pressure, state.volume, state.voltage_squared, state.error_estimate
+        )  # fmt: skip
+
+    starts = [e.state for e in up["start"]]
+    begin = starts[0] if starts else None
+    for first, states in (
+        (0, starts),
+        (1, [e.state for e in up["snap"]][:2]),
+        (3, [e.state for e in up["landing"]][:2]),
+        (5, [e.state for e in up["breakdown"] if e.reason == "breakdown on the branch"]),
+        (6, [e.state for e in down if e.event == "snap_back"][:2]),
+        (8, [e.state for e in down if e.event == "landing"][:2]),
+        (10, [e.state for e in down if e.event == "end" and e.reason == "zero voltage"]),
+    ):
+        for i, state in enumerate(states):
+            put(told, first + i, state)
+    branch = [p.branch for p in diagram.special_points if begin is not None and _same(p, begin)]
+    own = [p for p in diagram.special_points if branch and p.branch == branch[0]]
+    for kind, columns in marks.items():
+        states = sorted((p for p in own if p.kind == kind), key=lambda p: p.apex_stretch)
+        for i, state in enumerate(states[: columns.shape[2]]):
+            put(columns, i, state)
+    reason = up.area_strain_reason or ""
+    outcome = int(ENDS[reason]) if reason in ENDS else int(Answer.ended_by_window if up.events else Answer.no_answer)
+    snaps = np.array([len(up["snap"])])
+    law = diagram.scene.membrane.breakdown
+
+    def breakdown_load(apex):
+        return (field_on(law, np.nan_to_num(apex, nan=2.0)) / apex**2) ** 2
+
+    reach = np.full((1, 2), np.nan)
+    if branch:
+        apex = diagram.branches[branch[0]].apex_stretch
+        reach[0] = np.nanmin(apex), np.nanmax(apex)
+    folds, zeros, breaks = marks.values()
+    ramps = ramps_of(
+        breakdown_load, told, folds, zeros, breaks, snaps, np.array([outcome]), reach, np.array([FoldAhead.unknown])
+    )
+    found = answers_of(ramps, Source.diagram) | {"area_strain": np.array([up.area_strain], float)}
+    landings = [e.state.breakdown_ratio for e in up["landing"]][:2]
+    found["landing_ratio"] = np.full((1, 2), np.nan)
+    found["landing_ratio"][0, : len(landings)] = landings
+    found["regime"] = np.array([int(regime_of_diagram(diagram))], "int8")
+    return found
+
+
+def _same(point: State, state: State) -> bool:
+    return abs(point.volume - state.volume) <= 1e-9 * (1 + abs(state.volume)) and (
+        abs(point.voltage_squared - state.voltage_squared) <= 1e-12
+    )
