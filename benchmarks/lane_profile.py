@@ -22,11 +22,9 @@ from records import machine, write
 from shots import MATERIAL, States, seconds_of
 
 import dielectric_jax as dj
-from dielectric_jax.diagram import batch
-from dielectric_jax.diagram import crowd
-from dielectric_jax.diagram import lanes
-from dielectric_jax.numerics.compiled import kept_jit
+from dielectric_jax.diagram import batch, crowd, lanes
 from dielectric_jax.model.shooting import COLUMNS, integrate_membrane
+from dielectric_jax.numerics.compiled import kept_jit
 
 jax.config.update("jax_enable_x64", True)
 dj.enable_compilation_cache()

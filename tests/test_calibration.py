@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import dielectric_jax as dj
-from dielectric_jax.model.chart import explicit_map
 from dielectric_jax.design.constants import sought_constants
 from dielectric_jax.design.curve_model import CurveModel
 from dielectric_jax.design.fit_checks import check_determined, check_intervals, check_optimal
+from dielectric_jax.model.chart import explicit_map
 from dielectric_jax.model.materials import AbstractMaterial
 
 VOLUME = np.geomspace(0.3, 60.0, 24)

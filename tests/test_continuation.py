@@ -11,8 +11,8 @@ import pytest
 
 import dielectric_jax as dj
 from dielectric_jax import Code, Problem, Steps, trace
-from dielectric_jax.model.equations import SCALE
 from dielectric_jax.diagram.tracing import run_trace
+from dielectric_jax.model.equations import SCALE
 
 ONES = np.ones(2)
 USUAL = Steps()

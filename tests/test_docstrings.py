@@ -7,7 +7,11 @@ import pathlib
 import pytest
 
 PACKAGE = pathlib.Path(__file__).parent.parent / "dielectric_jax"
-MODULES = sorted(p.stem for p in PACKAGE.glob("*.py") if "\n    >>> " in p.read_text(encoding="utf-8"))
+MODULES = sorted(
+    ".".join(p.relative_to(PACKAGE).with_suffix("").parts)
+    for p in PACKAGE.rglob("*.py")
+    if "\n    >>> " in p.read_text(encoding="utf-8")
+)
 
 
 @pytest.mark.parametrize("name", MODULES)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import dielectric_jax as dj
-from dielectric_jax.model.chart import scan
 from dielectric_jax.apps.cli import main
+from dielectric_jax.model.chart import scan
 from dielectric_jax.model.materials import capacitance, largest_load
 
 L1, L2 = np.meshgrid(np.linspace(0.7, 9.0, 9), np.linspace(0.7, 9.0, 9))

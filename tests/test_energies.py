@@ -12,8 +12,8 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import dielectric_jax as dj
-from dielectric_jax.diagram import tracing
 from dielectric_jax.apps.options import read_arguments
+from dielectric_jax.diagram import tracing
 from dielectric_jax.numerics.codes import Code
 
 

@@ -12,10 +12,10 @@ import time
 import pytest
 
 import dielectric_jax as dj
-from dielectric_jax.sweeps import executors
-from dielectric_jax.sweeps.executors import Progress, executor_of, run_blocks
 from dielectric_jax.model.programs import cores
 from dielectric_jax.numerics.codes import WorkersLost
+from dielectric_jax.sweeps import executors
+from dielectric_jax.sweeps.executors import Progress, executor_of, run_blocks
 
 
 def squared(number, folder=None, victim=None):
@@ -160,7 +160,17 @@ def test_an_interrupt_leaves_a_store_to_resume(tmp_path):
         "chamber_volume = {from = 600, to = 25000, count = 2000, spacing = 'log'}\n"
     )
     store = tmp_path / "s.zarr"
-    command = [sys.executable, "-m", "dielectric_jax.apps.cli", "sweep", str(spec), "--output", str(store), "--workers", "1"]
+    command = [
+        sys.executable,
+        "-m",
+        "dielectric_jax.apps.cli",
+        "sweep",
+        str(spec),
+        "--output",
+        str(store),
+        "--workers",
+        "1",
+    ]
     # a test run in the background ignores interrupts, and its children would with it
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)

@@ -1,156 +1,115 @@
-"""A room (module) of the package imports only rooms listed above it."""
+"""The house: packages on floors, each imported through its face by packages on higher floors, without circles inside."""
 
 import ast
+import graphlib
+import importlib
 import pathlib
 
 import pytest
 
-ROOMS = [
-    "cache",
-    "elementary",
-    "locks",
-    "kept",
-    "results",
-    "outcomes",
-    "units",
-    "tables",
-    "records",
-    "energies",
-    "materials",
-    "elastomers",
-    "membrane",
-    "loading",
-    "scene",
-    "shooting",
-    "profiles",
-    "programs",
-    "stability",
-    "equilibria",
-    "chart",
-    "elements",
-    "sheet",
-    "archive",
-    "surface",
-    "engines",
-    "points",
-    "trajectories",
-    "family",
-    "contours",
-    "rows",
-    "marks",
-    "ramp_on_rows",
-    "continuation",
-    "tracing",
-    "stations",
-    "branches",
-    "events",
-    "critical",
-    "states",
-    "solved",
-    "lanes",
-    "crowd",
-    "beyond",
-    "ensemble",
-    "polylines",
-    "other_branches",
-    "assembly",
-    "batch",
-    "ramp",
-    "drawing",
-    "plotting",
-    "portraits",
-    "material_page",
-    "diagram",
-    "leaves",
-    "column_heads",
-    "text_tables",
-    "measurements",
-    "constants",
-    "curve_model",
-    "fit_checks",
-    "calibration",
-    "searches",
-    "load_lines",
-    "critical_points",
-    "turning_points",
-    "animation",
-    "paper_figures",
-    "paper_statements",
-    "paper",
-    "regimes",
-    "axes",
-    "columns",
-    "workers",
-    "store",
-    "executors",
-    "sweeps",
-    "documents",
-    "specification",
-    "reading",
-    "designs",
-    "far_states",
-    "sheet_conditions",
-    "boundaries",
-    "grid_lines",
-    "regime_plots",
-    "fold_paths",
-    "two_parameters",
-    "regime_maps",
-    "glances",
-    "explorer",
-    "scenarios",
-    "design_points",
-    "climbing",
-    "objectives",
-    "design",
-    "design_files",
-    "plain_text",
-    "refusals",
-    "arguments",
-    "summaries",
-    "cli",
-]
 PACKAGE = pathlib.Path(__file__).parent.parent / "dielectric_jax"
+FLOORS = {
+    "numerics": 1,
+    "model": 2,
+    "surface": 3,
+    "plot": 3,
+    "diagram": 4,
+    "sweeps": 5,
+    "critical": 5,
+    "design": 5,
+    "apps": 6,
+}
 
 
-def imported_rooms(source):
-    """The rooms that a module's source imports anywhere, also inside functions; "" is the package itself."""
+def imports_of(source: str, package: str) -> list[tuple[str, str]]:
+    """(package, module) of every import from the project in a module of `package`, also inside functions.
+
+    The module is "" where the face of the package is imported; the package is "" for the project itself.
+    """
+    found = []
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.ImportFrom):
-            module = node.module or ""
-            if node.level == 0 and module.split(".")[0] != "dielectric_jax":
+            parts = (node.module or "").split(".")
+            if node.level == 0 and parts[0] != "dielectric_jax":
                 continue
-            room = module if node.level else module.partition(".")[2]
-            yield from [room.split(".")[0]] if room else [a.name for a in node.names]
+            parts = parts[1:] if node.level == 0 else [package, *filter(None, parts)] if node.level == 1 else parts
+            names = [a.name for a in node.names]
+            if node.level == 1 and not node.module:
+                found += [(package, name) for name in names]
+            elif not parts or not parts[0]:
+                found += [(name, "") for name in names]
+            else:
+                found.append((parts[0], ".".join(parts[1:])))
         elif isinstance(node, ast.Import):
             for alias in node.names:
-                package, _, room = alias.name.partition(".")
-                if package == "dielectric_jax":
-                    yield room.split(".")[0]
+                parts = alias.name.split(".")
+                if parts[0] == "dielectric_jax":
+                    found.append((parts[1] if len(parts) > 1 else "", ".".join(parts[2:])))
+    return found
 
 
-def test_every_module_is_a_room_in_the_order():
-    assert {p.stem for p in PACKAGE.glob("*.py")} - {"__init__"} == set(ROOMS)
+def modules_of(package: str) -> list[pathlib.Path]:
+    return sorted(p for p in (PACKAGE / package).glob("*.py") if p.name != "__init__.py")
 
 
-@pytest.mark.parametrize("room", ROOMS)
-def test_a_room_imports_only_rooms_above_it(room):
-    above = ROOMS[: ROOMS.index(room)]
-    # the command line stands on the package as a user sees it
-    allowed = {*above, ""} if room == "cli" else set(above)
-    source = (PACKAGE / f"{room}.py").read_text(encoding="utf-8")
-    assert set(imported_rooms(source)) <= allowed
+def test_only_packages_stand_at_the_top():
+    files = {p.name for p in PACKAGE.iterdir() if p.is_file()}
+    assert files == {"__init__.py", "__main__.py", "py.typed"}
+    assert {p.name for p in PACKAGE.iterdir() if p.is_dir()} - {"__pycache__"} == set(FLOORS)
+
+
+@pytest.mark.parametrize("package", FLOORS)
+def test_a_package_imports_faces_of_lower_floors(package):
+    for path in modules_of(package):
+        for other, module in imports_of(path.read_text(encoding="utf-8"), package):
+            if other == package:
+                continue
+            edge = f"{package}/{path.name} -> {other or 'dielectric_jax'}{'.' + module if module else ''}"
+            # the command line stands on the package as a user sees it
+            allowed = other in FLOORS and FLOORS[other] < FLOORS[package] and not module
+            assert allowed or (path.stem == "cli" and not other), edge
+
+
+@pytest.mark.parametrize("package", FLOORS)
+def test_there_are_no_circles_inside_a_package(package):
+    graph = {
+        path.stem: {m for other, m in imports_of(path.read_text(encoding="utf-8"), package) if other == package}
+        for path in modules_of(package)
+    }
+    assert set().union(*graph.values()) <= set(graph)
+    graphlib.TopologicalSorter(graph).prepare()  # raises CycleError, which names the circle
+
+
+@pytest.mark.parametrize("package", FLOORS)
+def test_a_face_lists_what_it_gives(package):
+    face = importlib.import_module(f"dielectric_jax.{package}")
+    assert face.__doc__
+    assert sorted(face.__all__) == sorted(set(face.__all__))
+    modules = {path.stem for path in modules_of(package)}
+    assert not modules & set(face.__all__)  # a name that hides a module would be found by one way of importing only
+    assert all(hasattr(face, name) for name in face.__all__)
 
 
 def test_the_reader_of_imports_sees_every_form():
     source = """
 import numpy, dielectric_jax
 import dielectric_jax.model.chart as c
-from dielectric_jax.model import scene
+from dielectric_jax import surface
 from dielectric_jax.model.loading import Chamber
+from ..numerics import Code
 from . import records
 def f():
-    from .results import Code
+    from .scene import Scene
+    from ..plot.diagrams import plot_diagram
     from jax import numpy
 """
-    assert sorted(imported_rooms(source)) == ["", "chart", "loading", "records", "results", "scene"]
+    assert sorted(imports_of(source, "model")) == [
+        ("", ""),
+        ("model", "chart"),
+        ("model", "loading"),
+        ("model", "records"),
+        ("model", "scene"),
+        ("numerics", ""),
+        ("plot", "diagrams"),
+        ("surface", ""),
+    ]

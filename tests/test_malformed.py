@@ -15,13 +15,13 @@ import pytest
 
 import dielectric_jax as dj
 from dielectric_jax.apps import options as arguments
-from dielectric_jax.design import area_strain as design
-from dielectric_jax.diagram import diagrams as diagram
 from dielectric_jax.apps import paper
+from dielectric_jax.apps.cli import main
+from dielectric_jax.design import area_strain as design
 from dielectric_jax.design import regime_maps
+from dielectric_jax.diagram import diagrams as diagram
 from dielectric_jax.diagram import states
 from dielectric_jax.sweeps import sweeps
-from dielectric_jax.apps.cli import main
 
 LONG = "9" * 5000
 VALUES = [

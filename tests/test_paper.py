@@ -11,9 +11,7 @@ import matplotlib.pyplot as plt
 import pytest
 
 import dielectric_jax as dj
-from dielectric_jax.apps import paper
-from dielectric_jax.apps import paper_figures
-from dielectric_jax.apps import paper_statements
+from dielectric_jax.apps import paper, paper_figures, paper_statements
 from dielectric_jax.apps.cli import main
 
 PNG = b"\x89PNG"

@@ -10,6 +10,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
+from dielectric_jax.model.records import Branch, Event, SpecialPoint, State
+from dielectric_jax.numerics.codes import Code
 from dielectric_jax.plot.diagrams import (
     chamber_voltages,
     plot_chamber,
@@ -17,8 +19,6 @@ from dielectric_jax.plot.diagrams import (
     plot_pressure_volume,
     plot_voltage_volume,
 )
-from dielectric_jax.model.records import Branch, Event, SpecialPoint, State
-from dielectric_jax.numerics.codes import Code
 
 SNAP_Q, DIP_Q = 0.006, -0.002
 

@@ -12,8 +12,8 @@ import xarray as xr
 
 import dielectric_jax as dj
 from dielectric_jax.sweeps.axes import Design, axes_of
-from dielectric_jax.sweeps.variables import empty_answer, variables_of
 from dielectric_jax.sweeps.store import Memory
+from dielectric_jax.sweeps.variables import empty_answer, variables_of
 
 SCENE = dj.Scene(dj.Membrane(), dj.Chamber(volume=1600.0, initial_volume=2.42))
 CHAMBERS, FILLINGS = np.geomspace(100, 10000, 5), np.linspace(1.0, 2.5, 4)

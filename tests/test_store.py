@@ -14,8 +14,8 @@ import pytest
 import xarray as xr
 
 import dielectric_jax as dj
-from dielectric_jax.numerics.locks import alone
 from dielectric_jax.numerics.codes import StoreError
+from dielectric_jax.numerics.locks import alone
 
 BENCHMARKS = pathlib.Path(__file__).parent.parent / "benchmarks"
 SPECIFICATION = """

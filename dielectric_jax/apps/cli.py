@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from ..numerics import SceneError, StoreError, WorkersLost
 from .options import (
     CHAMBER_OPTIONS,
     MATERIAL_CONSTANTS,
@@ -27,7 +28,6 @@ from .options import (
     read_arguments,
 )
 from .plain_text import readable_streams
-from ..numerics.codes import SceneError, StoreError, WorkersLost
 from .summaries import summary
 
 __all__ = ["main"]
@@ -56,7 +56,7 @@ def _units(dj: Any, args: argparse.Namespace) -> Any:
     """The units of --si, None without it; the options' own quantities are made dimensionless."""
     if not getattr(args, "si", False):
         return None
-    from ..model.units import VACUUM_PERMITTIVITY
+    from ..model import VACUUM_PERMITTIVITY
 
     given = {n: getattr(args, n) for n in UNIT_CONSTANTS if getattr(args, n) is not None}
     if "relative_permittivity" in given:
@@ -110,7 +110,7 @@ def _run_equilibrium(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[
     document = {"scene": dj.describe(membrane), "units": "dimensionless", "states": [s.to_json() for s in states]}
 
     def draw() -> Any:
-        from ..plot.diagrams import plot_diagram
+        from ..plot import plot_diagram
 
         figure = plot_diagram(_curves(dj, args, membrane, [args.voltage])[0], units=args.units)
         (ax,) = figure.axes
@@ -130,7 +130,7 @@ def _run_pressure_volume(dj: Any, args: argparse.Namespace) -> tuple[dict, Calla
     documents = [c.to_json() for c in curves]
 
     def draw() -> Any:
-        from ..plot.diagrams import plot_diagram, plot_pressure_volume
+        from ..plot import plot_diagram, plot_pressure_volume
 
         if len(curves) == 1:
             return plot_diagram(curves[0], units=args.units)
@@ -149,7 +149,7 @@ def _run_voltage_volume(dj: Any, args: argparse.Namespace) -> tuple[dict, Callab
     diagram = dj.voltage_volume(scene, points=args.points, tolerance=args.tolerance, surface=surface)
 
     def draw() -> Any:
-        from ..plot.diagrams import chamber_voltages, plot_chamber
+        from ..plot import chamber_voltages, plot_chamber
 
         curves = []
         for voltage in chamber_voltages(diagram) if args.control == "voltage" else []:
@@ -164,7 +164,7 @@ def _run_voltage_volume(dj: Any, args: argparse.Namespace) -> tuple[dict, Callab
 
 
 def _run_sweep(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
-    from ..sweeps.specification import read_specification
+    from ..sweeps import read_specification
 
     scene, axes, options = read_specification(args.specification)
     options |= {"output": args.output, "resume": args.resume, "accept_versions": args.accept_versions}

@@ -1,8 +1,8 @@
 """Questions about designs written down: a file of TOML with a scene, the parameters that vary, and what is wished for."""
 
-from ..sweeps.documents import check_dimensionless, number, read_toml, refuse, scene_of, table
-from ..numerics.codes import shown
-from ..model.scene import PARAMETERS, Scene
+from ..model import PARAMETERS, Scene
+from ..numerics import shown
+from ..sweeps import check_dimensionless, number, read_toml, refuse, scene_of, table
 
 __all__ = ["read_design_file"]
 

@@ -16,24 +16,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..design.designs import surface_for
-from ..diagram.diagrams import Diagram, pressure_volume, voltage_volume
-from ..plot.drawing import event_entries, line_entries, point_entries, viewed, voltage_text
-from ..diagram.chambers import curves_and_ramps
-from ..diagram.glances import Glance, glance
-from ..model.loading import Chamber, ConstantPressure, ConstantVoltage
-from ..model.membrane import Membrane
-from ..model.outcomes import Regime
-from ..plot.diagrams import plot_pressure_volume, plot_voltage_volume
-from ..model.records import Event
-from ..diagram.regimes import regime_of_diagram
-from ..numerics.codes import SceneError
-from ..model.scene import Scene, Window
-from ..sweeps.store import need
+from ..design import surface_for
+from ..diagram import Diagram, Glance, curves_and_ramps, glance, pressure_volume, regime_of_diagram, voltage_volume
+from ..model import Chamber, ConstantPressure, ConstantVoltage, Event, Membrane, Regime, Scene, Window
+from ..numerics import SceneError
+from ..plot import (
+    event_entries,
+    line_entries,
+    plot_pressure_volume,
+    plot_voltage_volume,
+    point_entries,
+    viewed,
+    voltage_text,
+)
+from ..sweeps import need
 
 if TYPE_CHECKING:
-    from ..surface.family import SurfaceFamily
-    from ..surface.surface import Surface
+    from ..surface import Surface, SurfaceFamily
 
 __all__ = ["Explorer", "explore"]
 

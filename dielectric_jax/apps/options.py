@@ -10,8 +10,8 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from ..numerics import LARGEST, shown
 from .refusals import BadInput, Parser, one_of
-from ..numerics.codes import LARGEST, shown
 
 __all__ = [
     "CHAMBER_OPTIONS",

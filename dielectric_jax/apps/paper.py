@@ -8,15 +8,11 @@ import json
 import pathlib
 import typing
 
-from ..diagram.diagrams import Diagram, pressure_volume, voltage_volume
-from ..model.loading import Chamber, ConstantPressure
-from ..model.membrane import Membrane, Profile
+from ..diagram import Diagram, pressure_volume, voltage_volume
+from ..model import Chamber, ConstantPressure, Membrane, Profile, Scene, Units, profile
+from ..numerics import shown
 from .paper_figures import FIGURES
 from .paper_statements import STATEMENTS, Statement, statements_table
-from ..model.profiles import profile
-from ..numerics.codes import shown
-from ..model.scene import Scene
-from ..model.units import Units
 
 __all__ = ["Paper", "reproduce"]
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..plot.drawing import (
+from ..model import VHB_4910, ArrudaBoyce, Gent, stresses
+from ..plot import (
     COLOURS,
     add_legend,
     columns,
@@ -17,12 +18,13 @@ from ..plot.drawing import (
     line_entries,
     line_entry,
     new_figure,
+    plot_chamber,
+    plot_cross_section,
+    plot_distribution,
+    plot_pressure_volume,
+    plot_voltage_volume,
     point_entries,
 )
-from ..model.materials import ArrudaBoyce, Gent, stresses
-from ..plot.diagrams import plot_chamber, plot_pressure_volume, plot_voltage_volume
-from ..plot.states import plot_cross_section, plot_distribution
-from ..model.units import VHB_4910
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

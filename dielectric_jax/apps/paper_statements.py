@@ -5,11 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from ..diagram.diagrams import Diagram
-from ..model.membrane import Membrane
+from ..diagram import Diagram, equilibrium
+from ..model import Membrane, SpecialPoint, State
 from .paper_figures import fits
-from ..model.records import SpecialPoint, State
-from ..diagram.states import equilibrium
 
 __all__ = ["STATEMENTS", "Statement", "statements_table"]
 

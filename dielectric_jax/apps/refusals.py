@@ -5,7 +5,7 @@ import re
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
-from ..numerics.codes import shown
+from ..numerics import shown
 
 __all__ = ["BadInput", "Parser", "one_of"]
 
@@ -58,7 +58,7 @@ def _sentence_of(message: str, prog: str) -> str:
 
 
 def _cut(text: str) -> str:
-    """A quoted value, shortened where it is long, as `results.shown` does."""
+    """A quoted value, shortened where it is long, as `codes.shown` does."""
     return text if len(text) <= 100 else f"{text[:40]} ... {text[-40:]}"
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from ..numerics.codes import Code
+from ..numerics import Code
 
 __all__ = ["summary"]
 

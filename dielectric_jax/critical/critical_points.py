@@ -15,13 +15,22 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..diagram.batch import ByLeaves
+from ..diagram import ByLeaves, filling
+from ..model import (
+    Chamber,
+    ConstantPressure,
+    ConstantVoltage,
+    Scene,
+    difficulty,
+    field_ratio_squared,
+    is_concrete,
+    largest_load,
+    locking_stretch,
+)
+from ..numerics import Code, SceneError
+from ..surface import Surface
 from .engines import AbstractEngine, ByShooting, OnSheet
-from ..model.equations import difficulty, locking_stretch
 from .leaves import Scenes
-from ..model.loading import Chamber, ConstantPressure, ConstantVoltage
-from ..model.materials import is_concrete, largest_load
-from ..model.membrane import field_ratio_squared
 from .points import (
     BREAKDOWN,
     FOLD,
@@ -33,11 +42,7 @@ from .points import (
     attach,
     attach_free,
 )
-from ..numerics.codes import Code, SceneError
-from ..model.scene import Scene
 from .searches import first_folds, first_folds_on_surface, guarded, ramp_events
-from ..diagram.states import filling
-from ..surface.surface import Surface
 
 __all__ = [
     "CriticalPoint",

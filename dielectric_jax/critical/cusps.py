@@ -8,15 +8,13 @@ import typing
 
 import numpy as np
 
+from ..diagram import filling
+from ..model import Chamber, ConstantPressure, ConstantVoltage, Membrane, Scene
+from ..numerics import Code, SceneError
 from .critical_points import CriticalPoint, engine_of, find, point_of, start_of
 from .load_lines import chamber_cusps, leaf_of, none, onset, pressure_extremes, zero_states
 from .load_lines import pressure_cusp as find_pressure_cusp
-from ..model.loading import Chamber, ConstantPressure, ConstantVoltage
-from ..model.membrane import Membrane
 from .points import CUSP, LEVEL, ONSET, PRESSURE_CUSP, PRESSURE_FOLD, Conditions, attach, attach_free
-from ..numerics.codes import Code, SceneError
-from ..model.scene import Scene
-from ..diagram.states import filling
 
 __all__ = [
     "bistability_onset",

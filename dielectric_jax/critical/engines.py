@@ -8,10 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..numerics.compiled import kept_jit
-from ..model.membrane import Membrane
-from ..model.shooting import shoot
-from ..surface.surface import Surface
+from ..model import Membrane, shoot
+from ..numerics import kept_jit
+from ..surface import Surface
 
 __all__ = ["AbstractEngine", "ByShooting", "OnSheet", "entries", "perturbed", "towers"]
 

@@ -10,18 +10,24 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import brentq
 
+from ..diagram import hermite
+from ..model import (
+    SCALE,
+    SCANNED_LOAD,
+    Chamber,
+    ConstantPressure,
+    ConstantVoltage,
+    Scene,
+    difficulty,
+    field_ratio_squared,
+    largest_load,
+    locking_stretch,
+)
+from ..numerics import SceneError, kept_jit
 from .critical_points import Found, find, start_of
 from .engines import ByShooting
-from ..model.equations import SCALE, difficulty, locking_stretch
-from ..numerics.compiled import kept_jit
 from .load_lines import zero_states
-from ..model.loading import Chamber, ConstantPressure, ConstantVoltage
-from ..model.materials import largest_load
-from ..model.membrane import field_ratio_squared
 from .points import BREAKDOWN, PRESSURE, PRESSURE_FOLD, VOLUME, Conditions, Solution, linearised
-from ..numerics.codes import SceneError
-from ..model.scene import SCANNED_LOAD, Scene
-from ..diagram.stations import hermite
 
 __all__ = ["LARGEST_LOAD", "ConditionsOver", "Followed", "Lost", "Place", "System", "follow"]
 

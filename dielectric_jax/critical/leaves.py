@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import jax
 import numpy as np
 
-from ..numerics.codes import Code
-from ..model.scene import Scene
-from ..surface.surface import Surface
+from ..model import Scene
+from ..numerics import Code
+from ..surface import Surface
 
 __all__ = ["Scenes"]
 

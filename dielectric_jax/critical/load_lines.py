@@ -13,15 +13,11 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.optimize import brentq
 
-from ..diagram.batch import ByLeaves
-from ..model.chart import map_nodes, stretch_shares
+from ..diagram import ByLeaves
+from ..model import SCALE, Chamber, ConstantVoltage, Contour, Membrane, largest_load, map_nodes, stretch_shares
+from ..numerics import Code
 from .engines import ByShooting
-from ..model.equations import SCALE
-from ..model.loading import Chamber, ConstantVoltage, Contour
-from ..model.materials import largest_load
-from ..model.membrane import Membrane
 from .points import CUSP, LEVEL, ONSET, PRESSURE_CUSP, PRESSURE_FOLD, Conditions, correction
-from ..numerics.codes import Code
 
 __all__ = ["chamber_cusps", "onset", "pressure_cusp", "pressure_extremes", "settle", "zero_states"]
 

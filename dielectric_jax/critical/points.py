@@ -21,10 +21,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..model import Contour, Membrane, field_ratio_squared
+from ..numerics import kept_jit
 from .engines import AbstractEngine, entries, perturbed, towers
-from ..numerics.compiled import kept_jit
-from ..model.loading import Contour
-from ..model.membrane import Membrane, field_ratio_squared
 
 __all__ = [
     "Conditions",

@@ -10,25 +10,28 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..diagram.batch import columns_of, continue_scenes, contour_of, starts
-from ..numerics.continuation import Steps, advance, begin
-from ..diagram.crowd import Crowd
-from ..diagram.diagrams import voltage_volume
+from ..diagram import (
+    Crowd,
+    Ramps,
+    branch_problem,
+    chamber_ramps,
+    columns_of,
+    continue_scenes,
+    contour_of,
+    first_folds_on,
+    loading_columns,
+    pressure_ramps,
+    starts,
+    voltage_volume,
+)
+from ..model import SCALE, ConstantVoltage, Outcome, Scene, State, locking_stretch
+from ..numerics import Code, SceneError, Steps, advance, begin, kept_jit
+from ..surface import Surface
 from .engines import ByShooting, towers
-from ..diagram.chambers import Ramps, chamber_ramps, first_folds_on, pressure_ramps
-from ..model.equations import SCALE, locking_stretch
-from ..numerics.compiled import kept_jit
 from .leaves import Scenes
-from ..model.loading import Chamber, ConstantPressure, ConstantVoltage
-from ..model.outcomes import Outcome
 from .points import FOLD, Conditions, correction
-from ..model.records import State
-from ..numerics.codes import Code, SceneError
-from ..model.scene import Scene
-from ..surface.surface import Surface
-from ..diagram.tracing import branch_problem
 
-__all__ = ["EVENTS", "first_folds", "first_folds_on_surface", "loading_columns", "ramp_events"]
+__all__ = ["EVENTS", "first_folds", "first_folds_on_surface", "ramp_events"]
 
 #: the events that a search tells, each as λa, p, q, V, error, code
 EVENTS = ("start", "snap", "landing", "breakdown", "snap_back", "landing_back", "rest")
@@ -279,19 +282,6 @@ def _table_of(ramps: Ramps) -> dict[str, np.ndarray]:
     for name in ("landing", "breakdown"):
         table[name][outcome == Outcome.no_landing, 5] = int(Code.no_landing)
     return table
-
-
-def loading_columns(loading, surface: Surface) -> dict:
-    """The columns of a loading under the names of `chamber_ramps`, or the pressure."""
-    if isinstance(loading, ConstantPressure):
-        return {"pressure": loading.pressure}
-    assert isinstance(loading, Chamber)
-    filling = loading.initial_volume
-    if filling is None:
-        start = pressure_ramps(surface, loading.initial_pressure).start.volume
-        filling = np.where(np.isfinite(start), start, 1e-300)  # too little for any state: not decided
-    gas = {n: getattr(loading, n) for n in ("atmospheric_pressure", "polytropic_exponent")}
-    return {"chamber_volume": loading.volume, "initial_volume": filling} | gas
 
 
 def first_folds_on_surface(scenes: Scenes, surface: Surface) -> dict[str, np.ndarray]:

@@ -16,16 +16,12 @@ import math
 
 import numpy as np
 
-from ..diagram.diagrams import pressure_volume, voltage_volume
-from ..model.equations import SCALE
+from ..diagram import hermite, pressure_volume, voltage_volume
+from ..model import SCALE, Chamber, ConstantPressure, ConstantVoltage, Scene, pair, plain
+from ..numerics import SceneError
+from ..plot import plot_fold_curves
 from .fold_paths import LARGEST_LOAD, ConditionsOver, Followed, Lost, Place, System, follow
-from ..model.loading import Chamber, ConstantPressure, ConstantVoltage
 from .points import BREAKDOWN, FOLD, PRESSURE_FOLD
-from ..model.records import plain
-from ..plot.maps import plot_fold_curves
-from ..numerics.codes import SceneError
-from ..model.scene import Scene, pair
-from ..diagram.stations import hermite
 
 __all__ = ["FoldCurve", "FoldCurves", "TwoParameterPoint", "fold_curves"]
 

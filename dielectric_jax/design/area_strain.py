@@ -12,18 +12,15 @@ import numpy as np
 import scipy.ndimage
 import scipy.optimize
 
+from ..diagram import Diagram, voltage_volume
+from ..model import Outcome, Regime, Scene, describe, place_of, plain
+from ..numerics import check_whole
+from ..surface import Surface, SurfaceFamily
 from .climbing import NEAR, Climb, Wishes, axis_of, inwards, scan_designs
 from .design_points import Kind, begin_of
 from .designs import classify_designs, surface_for
-from ..diagram.diagrams import Diagram, voltage_volume
-from ..surface.family import SurfaceFamily
-from ..model.outcomes import Outcome, Regime
-from ..model.records import plain
 from .regime_maps import even
-from ..numerics.codes import check_whole
 from .scenarios import scenarios_of
-from ..model.scene import Scene, describe, place_of
-from ..surface.surface import Surface
 
 __all__ = ["Design", "maximise_area_strain"]
 

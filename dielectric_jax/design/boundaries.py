@@ -15,14 +15,12 @@ The last lies beyond the surface's domain: its state at λ2 is shot.
 
 import numpy as np
 
-from .designs import Designs, designs_of
-from ..diagram.chambers import landings_on
-from .far_states import FarStates
-from ..model.outcomes import SNAPPING, Regime
-from ..model.scene import SCANNED_LOAD, Scene
-from ..critical.searches import loading_columns
+from ..diagram import landings_on, loading_columns
+from ..model import SCANNED_LOAD, SNAPPING, Regime, Scene
+from ..surface import Surface
 from .conditions import solve_on_sheet
-from ..surface.surface import Surface
+from .designs import Designs, designs_of
+from .far_states import FarStates
 
 __all__ = [
     "FOLD_BREAKS",

@@ -11,14 +11,12 @@ from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 from scipy.stats import t as student
 
+from ..model import ConstantBreakdown, Membrane, Units, VHBBreakdown
+from ..numerics import check_positive
 from .constants import sought_constants
 from .curve_model import LEAST_VOLUME, CurveModel
 from .fit_checks import check_determined, check_intervals, check_optimal, looks_absolute, misfit_warnings
-from ..model.materials import ConstantBreakdown, VHBBreakdown
 from .measurements import BELOW_ZERO, runs_of
-from ..model.membrane import Membrane
-from ..numerics.codes import check_positive
-from ..model.units import Units
 
 __all__ = ["Calibration", "calibrate"]
 

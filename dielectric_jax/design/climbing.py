@@ -6,13 +6,12 @@ import typing
 import numpy as np
 import scipy.optimize
 
+from ..model import Outcome, Regime, Scene
+from ..numerics import check_between
 from .design_points import Kind, measure
 from .designs import classify_designs
-from ..model.outcomes import Outcome, Regime
 from .regime_maps import check_range, even
-from ..numerics.codes import check_between
 from .scenarios import Scenario
-from ..model.scene import Scene
 
 __all__ = ["NEAR", "Axis", "Climb", "Wishes", "axis_of", "inwards", "scan_designs"]
 

@@ -14,15 +14,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..surface.family import SurfaceFamily
+from ..model import Chamber, ConstantPressure, Scene, field_ratio_squared, largest_load
+from ..numerics import kept_jit
+from ..surface import ById, Surface, SurfaceFamily, rows_of
 from .far_states import FarStates
-from ..numerics.compiled import kept_jit
-from ..model.loading import Chamber, ConstantPressure
-from ..model.materials import largest_load
-from ..model.membrane import field_ratio_squared
-from ..surface.rows import rows_of
-from ..model.scene import Scene
-from ..surface.surface import ById, Surface
 
 __all__ = ["SheetConditions", "Solved", "solve_on_sheet"]
 

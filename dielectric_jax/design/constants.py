@@ -6,8 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..model.materials import AbstractDielectric
-from ..model.membrane import Membrane
+from ..model import AbstractDielectric, Membrane
 
 __all__ = ["as_arrays", "check_membrane", "constants_of", "sought_constants", "value_of", "with_constants"]
 

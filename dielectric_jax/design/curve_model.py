@@ -13,9 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from ..model.chart import explicit_map
+from ..model import Membrane, explicit_map
 from .constants import as_arrays, check_membrane, constants_of, value_of, with_constants
-from ..model.membrane import Membrane
 
 __all__ = ["LEAST_VOLUME", "CurveModel"]
 

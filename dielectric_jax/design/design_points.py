@@ -10,8 +10,8 @@ import typing
 import jax.numpy as jnp
 import numpy as np
 
-from ..diagram.chambers import Ramps
-from ..model.scene import Scene
+from ..diagram import Ramps
+from ..model import Scene
 from .conditions import solve_on_sheet
 
 __all__ = ["Kind", "Measures", "begin_of", "measure"]

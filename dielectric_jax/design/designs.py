@@ -13,18 +13,10 @@ import typing
 import jax
 import numpy as np
 
-from ..diagram.batch import ByLeaves, continue_scenes
-from ..diagram.chambers import Ramps, chamber_ramps, pressure_ramps
-from ..surface.family import SurfaceFamily
-from ..model.loading import Chamber, ConstantPressure
-from ..model.materials import field_on
-from ..model.membrane import Membrane
-from ..model.outcomes import Regime
-from ..diagram.regimes import regime_of
-from ..numerics.codes import SceneError
-from ..model.scene import Scene
-from ..critical.searches import loading_columns
-from ..surface.surface import ById, Surface
+from ..diagram import ByLeaves, Ramps, chamber_ramps, continue_scenes, loading_columns, pressure_ramps, regime_of
+from ..model import Chamber, ConstantPressure, Membrane, Regime, Scene, field_on
+from ..numerics import SceneError
+from ..surface import ById, Surface, SurfaceFamily
 
 __all__ = [
     "MATERIAL_CONSTANTS",

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from ..model.membrane import Membrane
-from ..model.programs import jacobian_program, run_chunks
+from ..model import Membrane, jacobian_program, run_chunks
 
 __all__ = ["FarStates"]
 

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
 
+from ..model import Scene
 from .climbing import axis_of
 from .regime_maps import even
-from ..model.scene import Scene
 
 __all__ = ["Optimum", "maximise"]
 

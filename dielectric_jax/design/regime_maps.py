@@ -11,6 +11,10 @@ import jax
 import numpy as np
 import scipy.ndimage
 
+from ..diagram import Ramps
+from ..model import Outcome, Regime, Scene, describe, plain
+from ..numerics import LARGEST, check_whole, shown
+from ..surface import Surface, SurfaceFamily
 from .boundaries import LANDING_LEAVES, completed, guesses, has_event, kind_between, meet, with_landing
 from .designs import (
     MATERIAL_CONSTANTS,
@@ -21,14 +25,7 @@ from .designs import (
     sheet_over,
     surface_for,
 )
-from ..diagram.chambers import Ramps
-from ..surface.family import SurfaceFamily
 from .grid_lines import beside_change, chains, changes
-from ..model.outcomes import Outcome, Regime
-from ..model.records import plain
-from ..numerics.codes import LARGEST, check_whole, shown
-from ..model.scene import Scene, describe
-from ..surface.surface import Surface
 
 __all__ = ["Boundary", "RegimeEdge", "RegimeMap", "regime_edges", "regime_map"]
 
@@ -91,8 +88,8 @@ class RegimeMap:
         return Regime(int(self.regimes[i, j]))
 
     def plot(self, *, ax=None, **options):
-        """The map as a figure, see `regime_plots.plot_regime_map`."""
-        from ..plot.maps import plot_regime_map
+        """The map as a figure, see `plot.plot_regime_map`."""
+        from ..plot import plot_regime_map
 
         return plot_regime_map(self, ax=ax, **options)
 

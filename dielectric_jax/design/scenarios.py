@@ -7,11 +7,10 @@ import typing
 import numpy as np
 import scipy.stats
 
+from ..model import Scene, place_of
+from ..numerics import check_between
+from ..surface import Surface, SurfaceFamily
 from .designs import surface_for
-from ..surface.family import SurfaceFamily
-from ..numerics.codes import check_between
-from ..model.scene import Scene, place_of
-from ..surface.surface import Surface
 
 __all__ = ["Scenario", "scenarios_of"]
 

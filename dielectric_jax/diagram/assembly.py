@@ -5,12 +5,10 @@ import typing
 
 import numpy as np
 
+from ..model import SCALE, SCANNED_LOAD, FoldAhead, Outcome
 from .crowd import Crowd, Met
-from ..model.equations import SCALE
 from .lanes import BREAKDOWN, LEVEL
-from ..model.outcomes import FoldAhead, Outcome
 from .polylines import Places, Polylines
-from ..model.scene import SCANNED_LOAD
 
 __all__ = ["Assembly", "Events", "assemble", "ramps_on_lines"]
 
@@ -378,7 +376,7 @@ class _Ramp:
 
 
 class RampColumns(typing.NamedTuple):
-    """The columns of `ensemble.ramps_of` for many scenes, as far as their own lines show."""
+    """The columns of `chambers.ramps_of` for many scenes, as far as their own lines show."""
 
     events: np.ndarray
     folds: np.ndarray

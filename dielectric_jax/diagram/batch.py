@@ -15,21 +15,30 @@ import jax
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
+from ..model import (
+    SCALE,
+    SCANNED_LOAD,
+    Chamber,
+    ConstantPressure,
+    ConstantVoltage,
+    Contour,
+    FoldAhead,
+    Membrane,
+    Outcome,
+    Scene,
+    cores,
+    locking_stretch,
+    map_nodes,
+    stretch_shares,
+)
+from ..numerics import Code
 from .assembly import RampColumns, assemble, ramps_on_lines
 from .beyond import Landing, folds_ahead, landings
-from ..model.chart import map_nodes, stretch_shares
-from .crowd import LANES, Crowd, Met, calls, padded, pick
 from .chambers import Ramps, ramps_of
-from ..model.equations import SCALE, locking_stretch
+from .crowd import LANES, Crowd, Met, calls, padded, pick
 from .lanes import LEVEL, VOLUME, march_program, new_walks
-from ..model.loading import Chamber, ConstantPressure, ConstantVoltage, Contour
-from ..model.membrane import Membrane
 from .other_branches import have_others
-from ..model.outcomes import FoldAhead, Outcome
 from .polylines import Polylines
-from ..model.programs import cores
-from ..numerics.codes import Code
-from ..model.scene import SCANNED_LOAD, Scene
 from .states import check_request
 
 __all__ = ["Batch", "columns_of", "continue_scenes", "contour_of", "starts"]

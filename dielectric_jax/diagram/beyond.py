@@ -13,14 +13,21 @@ import typing
 
 import numpy as np
 
-from ..model.chart import LOAD_PANELS, Scan, cached_scan, map_nodes
+from ..model import (
+    LOAD_PANELS,
+    SCANNED_LOAD,
+    ConstantVoltage,
+    Contour,
+    FoldAhead,
+    Membrane,
+    Scan,
+    Scene,
+    cached_scan,
+    map_nodes,
+)
+from ..surface import ById
 from .crowd import Crowd, Met, pick
 from .lanes import LEVEL
-from ..model.loading import ConstantVoltage, Contour
-from ..model.membrane import Membrane
-from ..model.outcomes import FoldAhead
-from ..model.scene import SCANNED_LOAD, Scene
-from ..surface.surface import ById
 
 __all__ = ["Landing", "Landings", "folds_ahead", "landings"]
 

@@ -8,15 +8,21 @@ Hermite interpolant of every event function is searched for a hidden pair of roo
 
 import numpy as np
 
-from ..model.chart import Scan, cached_scan, map_nodes
+from ..model import (
+    MOST_STEPS,
+    SCALE,
+    SCANNED_LOAD,
+    Contour,
+    Membrane,
+    Scan,
+    cached_scan,
+    largest_load,
+    load_fraction,
+    locking_stretch,
+    map_nodes,
+)
+from ..numerics import Code
 from .contours import OnSurface, margins, surface_branches
-from ..model.equations import SCALE, load_fraction, locking_stretch
-from ..model.loading import Contour
-from ..model.materials import largest_load
-from ..model.membrane import Membrane
-from ..numerics.codes import Code
-from ..model.scene import SCANNED_LOAD
-from ..model.shooting import MOST_STEPS
 from .stations import Curve, clip_to_window, exact_curve, hermite, scaled
 from .tracing import run_trace, run_traces
 

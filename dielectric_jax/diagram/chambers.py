@@ -14,18 +14,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..model import Chamber, ConstantPressure, Contour, FoldAhead, Outcome, locking_stretch, regimes_of, threads
+from ..numerics import check_positive, kept_jit
+from ..surface import ROWS, ById, Conditions, Rows, Surface, crossings, rows_of
 from .beyond import Landing, folds_ahead, landings
 from .crowd import Crowd
-from ..model.equations import locking_stretch
-from ..numerics.compiled import kept_jit
-from ..model.loading import Chamber, ConstantPressure, Contour
 from .marks import LEVEL, ContourOnRows, Events, first_place
-from ..model.outcomes import FoldAhead, Outcome, regimes_of
-from ..model.programs import threads
 from .ramp_on_rows import polish_program, ramp_program, snap_program
-from ..numerics.codes import check_positive
-from ..surface.rows import ROWS, Conditions, Rows, crossings, rows_of
-from ..surface.surface import ById, Surface
 
 __all__ = [
     "Curves",
@@ -34,6 +29,7 @@ __all__ = [
     "chamber_curves",
     "chamber_ramps",
     "filling_volumes",
+    "loading_columns",
     "pressure_curves",
     "pressure_ramps",
 ]
@@ -483,3 +479,16 @@ def filling_volumes(surface: Surface, pressure) -> np.ndarray:
     """
     (volume,) = _run(_filling_chunk, surface, _columns(surface, {"initial_pressure": pressure}), "pressure", 0)
     return volume
+
+
+def loading_columns(loading, surface: Surface) -> dict:
+    """The columns of a loading under the names of `chamber_ramps`, or the pressure."""
+    if isinstance(loading, ConstantPressure):
+        return {"pressure": loading.pressure}
+    assert isinstance(loading, Chamber)
+    filling = loading.initial_volume
+    if filling is None:
+        start = pressure_ramps(surface, loading.initial_pressure).start.volume
+        filling = np.where(np.isfinite(start), start, 1e-300)  # too little for any state: not decided
+    gas = {n: getattr(loading, n) for n in ("atmospheric_pressure", "polytropic_exponent")}
+    return {"chamber_volume": loading.volume, "initial_volume": filling} | gas

@@ -14,24 +14,25 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..model.equations import (
+from ..model import (
     LADDERS,
     LEAST_ESTIMATE,
     SCALE,
+    SCANNED_LOAD,
+    Contour,
+    Membrane,
     Points,
     Shooting,
     difficulty,
+    field_ratio_squared,
+    largest_load,
     load_fraction,
     locking_stretch,
+    run_chunks,
+    value_program,
 )
-from ..numerics.compiled import kept_jit
-from ..model.loading import Contour
-from ..model.materials import largest_load
-from ..model.membrane import Membrane, field_ratio_squared
-from ..model.programs import run_chunks, value_program
-from ..numerics.codes import Code
-from ..model.scene import SCANNED_LOAD
-from ..surface.surface import ById, Surface, pressure_and_volume
+from ..numerics import Code, kept_jit
+from ..surface import ById, Surface, pressure_and_volume
 
 __all__ = ["OnSurface", "margins", "surface_branches"]
 
@@ -141,7 +142,7 @@ class OnSurface:
         )
 
     def polish(self, u, rows, targets, *, tolerance=1e-9, reach=1.0, refine=False) -> Points:
-        """States near `u` on the loading's contour with rows·u = targets; see `equilibria.polish`."""
+        """States near `u` on the loading's contour with rows·u = targets; see `equations.polish`."""
         u, rows, targets = np.asarray(u, float), np.asarray(rows, float), np.asarray(targets, float)
         found = self.meet(u, rows, targets, tolerance=tolerance, reach=reach)
         lost = np.flatnonzero(~found.ok)

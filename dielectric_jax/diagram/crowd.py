@@ -6,10 +6,8 @@ import typing
 import jax
 import numpy as np
 
-from ..model.equations import CONTRACTION, SCALE, difficulty
+from ..model import CONTRACTION, SCALE, Contour, Membrane, difficulty
 from .lanes import FOLD, limits_program, meet_program
-from ..model.loading import Contour
-from ..model.membrane import Membrane
 
 __all__ = ["LANES", "Crowd", "Met"]
 

@@ -7,28 +7,40 @@ import dataclasses
 
 import numpy as np
 
-from .branches import find_curves
-from .contours import OnSurface
-from .special_points import fold_events, special_points
-from ..model.equations import Shooting
-from ..model.loading import (
+from ..model import (
+    SCANNED_LOAD,
+    Branch,
     Chamber,
     ChargeControl,
     ConstantPressure,
     ConstantVoltage,
     Contour,
+    Membrane,
     PrescribedVolume,
+    Ramp,
+    Scene,
+    Shooting,
+    SpecialPoint,
+    State,
+    Units,
+    Window,
     control_of,
+    describe,
+    events_table,
+    field_on,
+    largest_load,
     mechanical,
+    plain,
+    points_table,
 )
-from ..model.materials import field_on, largest_load
-from ..model.membrane import Membrane
-from ..plot.diagrams import plot_diagram
+from ..numerics import Code, SceneError
+from ..plot import plot_diagram
+from ..surface import Surface
+from .branches import find_curves
+from .contours import OnSurface
 from .ramp import build_ramp, build_way_back, flat_ramp
-from ..model.records import Branch, Ramp, SpecialPoint, State, events_table, plain, points_table
-from ..numerics.codes import Code, SceneError
-from ..model.scene import SCANNED_LOAD, Scene, Window, describe
 from .solved import Solved, special_record
+from .special_points import fold_events, special_points
 from .states import (
     check_concrete,
     check_reachable,
@@ -40,9 +52,7 @@ from .states import (
 )
 from .states import filling as filling_of
 from .stations import Curve
-from ..surface.surface import Surface
 from .tracing import warm_up
-from ..model.units import Units
 
 __all__ = ["Diagram", "pressure_volume", "voltage_volume"]
 
@@ -118,7 +128,7 @@ class Diagram:
         return np.asarray(self.contour.gas_pressure(np.asarray(volume, float)))
 
     def plot(self, **options):
-        """The diagram as a matplotlib figure, see `plotting.plot_diagram`."""
+        """The diagram as a matplotlib figure, see `plot.plot_diagram`."""
         return plot_diagram(self, **options)
 
     def to_json(self, units: Units | None = None) -> dict:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..model.equations import SCALE, Points
+from ..model import SCALE, Points
 from .stations import Curve
 
 __all__ = ["FOLDS", "brackets", "control_line", "event_values"]

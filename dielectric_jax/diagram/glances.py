@@ -13,17 +13,25 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import PPoly, make_interp_spline
 
+from ..model import (
+    Branch,
+    Chamber,
+    ConstantPressure,
+    ConstantVoltage,
+    Event,
+    Outcome,
+    Regime,
+    Scene,
+    SpecialPoint,
+    State,
+    events_table,
+    points_table,
+)
+from ..numerics import Code, SceneError, kept_jit
+from ..plot import plot_diagram
+from ..surface import ById, Rows, Surface, rows_of
 from .chambers import Curves, Ramps, curves_and_ramps, filling_volumes
-from ..numerics.compiled import kept_jit
-from ..model.loading import Chamber, ConstantPressure, ConstantVoltage
-from ..model.outcomes import Outcome, Regime
-from ..plot.diagrams import plot_diagram
-from ..model.records import Branch, Event, SpecialPoint, State, events_table, points_table
-from ..numerics.codes import Code, SceneError
-from ..surface.rows import Rows, rows_of
-from ..model.scene import Scene
 from .states import check_concrete, check_surface
-from ..surface.surface import ById, Surface
 
 __all__ = ["Glance", "glance"]
 
@@ -63,7 +71,7 @@ class Glance:
         )
 
     def plot(self, **options):
-        """The diagram as a matplotlib figure, see `plotting.plot_diagram`."""
+        """The diagram as a matplotlib figure, see `plot.plot_diagram`."""
         return plot_diagram(self, **options)
 
     def _repr_html_(self) -> str:

@@ -10,14 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..numerics.continuation import Steps, Walk, advance
-from ..model.equations import SCALE, estimated_error
-from ..numerics.compiled import kept_jit
-from ..model.materials import largest_load
-from ..model.membrane import field_ratio_squared
-from ..numerics.codes import Code
-from ..model.shooting import COLUMNS, integrate_membrane
-from ..model.stability import index_of
+from ..model import COLUMNS, SCALE, estimated_error, field_ratio_squared, index_of, integrate_membrane, largest_load
+from ..numerics import Code, Steps, Walk, advance, kept_jit
 from .tracing import branch_problem
 
 __all__ = [

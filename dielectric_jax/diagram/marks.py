@@ -12,9 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..model.materials import largest_load
-from ..surface.rows import ROWS, Conditions, Rows
-from ..surface.surface import Surface
+from ..model import largest_load
+from ..surface import ROWS, Conditions, Rows, Surface
 
 __all__ = [
     "BREAKDOWN",

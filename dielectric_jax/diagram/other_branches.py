@@ -7,13 +7,9 @@ neighbourhood the line has no point.
 import jax
 import numpy as np
 
-from ..model.chart import cached_scan
+from ..model import SCALE, ConstantVoltage, Membrane, Scene, cached_scan
 from .crowd import Crowd, pick
-from ..model.equations import SCALE
-from ..model.loading import ConstantVoltage
-from ..model.membrane import Membrane
 from .polylines import Polylines
-from ..model.scene import Scene
 
 __all__ = ["have_others"]
 

@@ -9,10 +9,7 @@ import math
 
 import numpy as np
 
-from ..model.materials import largest_load
-from ..model.outcomes import Outcome
-from ..model.records import Event, Ramp, SpecialPoint, State
-from ..model.scene import SCANNED_LOAD
+from ..model import SCANNED_LOAD, Event, Outcome, Ramp, SpecialPoint, State, largest_load
 from .states import states_of
 
 __all__ = ["ENDS", "build_ramp", "build_way_back", "flat_ramp"]

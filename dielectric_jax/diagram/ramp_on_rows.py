@@ -7,11 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..numerics.compiled import kept_jit
+from ..model import Outcome
+from ..numerics import kept_jit
+from ..surface import ROWS, Conditions, Rows, Surface
 from .marks import BREAKDOWN, FOLD, LEVEL, ContourOnRows, Events, Marks, first_place, last_place, meet_on_surface
-from ..model.outcomes import Outcome
-from ..surface.rows import ROWS, Conditions, Rows
-from ..surface.surface import Surface
 
 __all__ = ["polish_program", "ramp_program", "snap_program"]
 

@@ -4,12 +4,10 @@ import typing
 
 import numpy as np
 
+from ..model import SCANNED_LOAD, FoldAhead, Outcome, Regime, Scene, SpecialPoint, regimes_of
+from ..surface import Surface
 from .diagrams import Diagram, voltage_volume
-from ..model.outcomes import FoldAhead, Outcome, Regime, regimes_of
 from .ramp import ENDS
-from ..model.records import SpecialPoint
-from ..model.scene import SCANNED_LOAD, Scene
-from ..surface.surface import Surface
 
 __all__ = ["regime_of", "regime_of_diagram"]
 

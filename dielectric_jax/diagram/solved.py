@@ -4,11 +4,10 @@ import dataclasses
 
 import numpy as np
 
+from ..model import Shooting, SpecialPoint, State
 from .contours import OnSurface
-from .special_points import Located, loads_beside_folds, locate
-from ..model.equations import Shooting
 from .events import FOLDS, brackets
-from ..model.records import SpecialPoint, State
+from .special_points import Located, loads_beside_folds, locate
 from .states import states_of
 from .stations import Curve
 

@@ -12,8 +12,8 @@ import dataclasses
 import numpy as np
 from scipy.optimize import root_scalar
 
+from ..model import SCALE, Points
 from .contours import OnSurface
-from ..model.equations import SCALE, Points
 from .events import FOLDS, brackets, control_line, event_values
 from .stations import Curve, between, hermite, scaled, solve_between
 

@@ -8,17 +8,32 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.optimize import root_scalar
 
-from ..model.chart import cached_scan, map_nodes, stretch_shares
-from ..model.energies import require_float64
-from ..model.equations import Points, polish
-from ..model.loading import Chamber, ConstantPressure, ConstantVoltage, PrescribedVolume, mechanical
-from ..model.materials import as_scalar, capacitance, field_on, is_concrete, largest_load
-from ..model.membrane import Membrane
-from ..model.records import State, voltage_of
-from ..numerics.codes import Code, SceneError, check_positive, shown
-from ..model.scene import Scene, Window
-from ..model.shooting import MOST_STEPS
-from ..surface.surface import Surface, pressure_and_volume
+from ..model import (
+    MOST_STEPS,
+    Chamber,
+    ConstantPressure,
+    ConstantVoltage,
+    Membrane,
+    Points,
+    PrescribedVolume,
+    Scene,
+    State,
+    Window,
+    as_scalar,
+    cached_scan,
+    capacitance,
+    field_on,
+    is_concrete,
+    largest_load,
+    map_nodes,
+    mechanical,
+    polish,
+    require_float64,
+    stretch_shares,
+    voltage_of,
+)
+from ..numerics import Code, SceneError, check_positive, shown
+from ..surface import Surface, pressure_and_volume
 
 __all__ = ["equilibrium", "filling", "flat_state", "states_of"]
 

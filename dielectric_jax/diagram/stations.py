@@ -5,10 +5,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..model.equations import SCALE, Points, load_fraction, locking_stretch
-from ..model.materials import largest_load
-from ..numerics.codes import Code
-from ..model.scene import SCANNED_LOAD
+from ..model import SCALE, SCANNED_LOAD, Points, largest_load, load_fraction, locking_stretch
+from ..numerics import Code
 
 __all__ = ["Curve", "between", "clip_to_window", "exact_curve", "hermite", "scaled", "solve_between"]
 

@@ -3,15 +3,8 @@
 import jax.numpy as jnp
 import numpy as np
 
-from ..numerics.continuation import Problem, Steps, Trace, trace
-from ..model.equations import SCALE
-from ..numerics.compiled import kept_jit
-from ..model.loading import ConstantVoltage
-from ..model.materials import largest_load
-from ..model.membrane import Membrane
-from ..model.programs import compile_ahead, threads
-from ..numerics.codes import Code
-from ..model.shooting import rim_with_columns
+from ..model import SCALE, ConstantVoltage, Membrane, compile_ahead, largest_load, rim_with_columns, threads
+from ..numerics import Code, Problem, Steps, Trace, kept_jit, trace
 
 __all__ = ["run_trace", "run_traces", "warm_up"]
 

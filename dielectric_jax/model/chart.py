@@ -18,8 +18,7 @@ import numpy as np
 import scipy.linalg
 from scipy.interpolate import make_interp_spline
 
-from ..numerics.elementary import sine_cosine
-from ..numerics.compiled import kept_jit
+from ..numerics import kept_jit, sine_cosine
 from .loading import Contour
 from .materials import AbstractMaterial, capacitance, is_concrete, largest_load, stresses
 from .membrane import Membrane, apex_series, slopes

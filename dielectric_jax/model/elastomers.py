@@ -15,8 +15,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..numerics import LARGEST, check_positive, elementwise
 from .energies import check_modulus, check_permittivity
-from ..numerics.compiled import elementwise
 from .materials import (
     AbstractDielectric,
     AbstractMaterial,
@@ -25,7 +25,6 @@ from .materials import (
     capacitance,
     first_invariant_minus_3,
 )
-from ..numerics.codes import LARGEST, check_positive
 from .units import Scalar, as_scalar, is_concrete
 
 __all__ = ["CustomPermittivity", "Electrostrictive", "MooneyRivlin", "Ogden"]

@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..numerics import check_positive
 from .materials import Scalar, as_scalar, is_concrete
-from ..numerics.codes import check_positive
 
 __all__ = [
     "AbstractLoading",

@@ -18,10 +18,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..numerics.elementary import log1p, reciprocal
+from ..numerics import check_positive, elementwise, log1p, of_this_package, reciprocal
 from .energies import check_energy
-from ..numerics.compiled import elementwise, of_this_package
-from ..numerics.codes import check_positive
 from .units import VACUUM_PERMITTIVITY, VHB_4910, Scalar, as_scalar, is_concrete
 
 __all__ = [

@@ -13,9 +13,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..numerics.elementary import reciprocal, sine_cosine
+from ..numerics import elementwise, reciprocal, sine_cosine
 from .energies import require_float64
-from ..numerics.compiled import elementwise
 from .materials import (
     AbstractBreakdown,
     AbstractMaterial,

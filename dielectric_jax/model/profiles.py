@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from ..numerics.compiled import kept_jit
+from ..numerics import kept_jit
 from .materials import capacitance, energy_on, field_on, stresses
 from .membrane import Membrane, Profile
 from .records import State

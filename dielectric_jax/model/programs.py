@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..numerics.compiled import kept_jit
+from ..numerics import kept_jit
 from .materials import ArrudaBoyce, Gent, NeoHookean, stresses
 from .membrane import Membrane, field_ratio_squared, slopes
 from .shooting import COLUMNS, eighth_order_step, integrate_membrane

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..numerics.codes import Code
+from ..numerics import Code
 from .tables import html_table
 
 # what tables of states show

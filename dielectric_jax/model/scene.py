@@ -10,6 +10,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from ..numerics import LARGEST, shown
 from .elastomers import CustomPermittivity, Electrostrictive, MooneyRivlin, Ogden
 from .loading import (
     AbstractLoading,
@@ -32,7 +33,6 @@ from .materials import (
     VHBBreakdown,
 )
 from .membrane import Membrane
-from ..numerics.codes import LARGEST, shown
 from .units import Units, is_concrete
 
 __all__ = ["PARAMETERS", "Scene", "Window", "describe", "pair"]

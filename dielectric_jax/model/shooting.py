@@ -23,8 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..numerics.elementary import sine_cosine, softplus
-from ..numerics.compiled import kept_jit
+from ..numerics import kept_jit, sine_cosine, softplus
 from .materials import AbstractMaterial, capacitance, is_concrete, stresses
 from .membrane import apex_series, slopes
 

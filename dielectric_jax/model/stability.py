@@ -15,7 +15,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.optimize import minimize_scalar
 
-from ..numerics.compiled import kept_jit
+from ..numerics import kept_jit
 from .loading import Chamber, ChargeControl, PrescribedVolume, mechanical
 from .materials import stresses
 from .membrane import Membrane

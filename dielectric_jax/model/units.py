@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..numerics.codes import LARGEST, check_positive
+from ..numerics import LARGEST, check_positive
 
 __all__ = ["VACUUM_PERMITTIVITY", "VHB_4910", "Scalar", "Units", "as_scalar", "is_concrete"]
 

@@ -52,7 +52,7 @@ def of_this_package(value) -> bool:
 def source_digest() -> str:
     """A digest of the package's sources."""
     digest = hashlib.sha256()
-    for path in sorted(pathlib.Path(__file__).parent.glob("*.py")):
+    for path in sorted(pathlib.Path(__file__).parent.parent.rglob("*.py")):
         digest.update(path.read_bytes())
     return digest.hexdigest()
 

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import itertools
 import pathlib
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..diagram.diagrams import Diagram
+from ..model import State, Units, profile, voltage_of
 from .drawing import COLOURS, GAS, add_legend, axis_label, draw_events, event_entries, new_axes, new_figure, viewed
 from .states import plot_cross_section
-from ..model.profiles import profile
-from ..model.records import State, voltage_of
-from ..model.units import Units
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,7 +21,7 @@ _QUANTITIES = ("voltage_squared", "pressure", "volume", "apex_stretch", "breakdo
 _JUMPS = ("snap", "snap_back")
 
 
-def _between(diagram: Diagram, one: State, other: State) -> np.ndarray:
+def _between(diagram: Any, one: State, other: State) -> np.ndarray:
     """States of a branch between two of its states, shape (quantities, points), both included."""
     ends = [np.array([getattr(s, n) for n in _QUANTITIES]) for s in (one, other)]
     best = None
@@ -50,7 +47,7 @@ def _between(diagram: Diagram, one: State, other: State) -> np.ndarray:
     return np.concatenate([ends[0][:, None], rows, ends[1][:, None]], axis=1)
 
 
-def ramp_path(diagram: Diagram, direction: str = "up") -> dict[str, np.ndarray]:
+def ramp_path(diagram: Any, direction: str = "up") -> dict[str, np.ndarray]:
     """The states a ramp holds, in order: columns of one shape, and `leg`, which counts the held pieces between jumps.
 
     Raises ValueError for a pressure–volume curve, and where there is no such ramp.
@@ -70,7 +67,7 @@ def ramp_path(diagram: Diagram, direction: str = "up") -> dict[str, np.ndarray]:
     return dict(zip(_QUANTITIES, columns, strict=True)) | {"leg": np.concatenate(legs) if legs else np.zeros(0, int)}
 
 
-def plot_ramp(diagram: Diagram, *, ax: Axes | None = None, units: Units | None = None, legend: bool = True) -> Axes:
+def plot_ramp(diagram: Any, *, ax: Axes | None = None, units: Units | None = None, legend: bool = True) -> Axes:
     """Draws the loop of a ramp up and back: only the states that are held, and the jumps between them.
 
     Args:
@@ -107,7 +104,7 @@ def plot_ramp(diagram: Diagram, *, ax: Axes | None = None, units: Units | None =
 
 
 def animate_ramp(
-    diagram: Diagram,
+    diagram: Any,
     path: str | pathlib.Path,
     *,
     direction: str = "up",

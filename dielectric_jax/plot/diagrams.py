@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..model import PrescribedVolume, SpecialPoint, control_of, mechanical, voltage_of
 from .drawing import (
     COLOURS,
     GAS,
@@ -30,8 +31,6 @@ from .drawing import (
     viewed,
     voltage_text,
 )
-from ..model.loading import PrescribedVolume, control_of, mechanical
-from ..model.records import SpecialPoint, voltage_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

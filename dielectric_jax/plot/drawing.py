@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..model.records import Branch, Event, SpecialPoint, State
+from ..model import Branch, Event, SpecialPoint, State
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..model.outcomes import REGIME_COLOURS, Regime
+from ..model import REGIME_COLOURS, Regime
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..model import AbstractBreakdown, AbstractMaterial, VHBBreakdown, field_on, largest_load, stresses, window_end
 from .drawing import COLOURS, new_figure
-from ..model.materials import AbstractBreakdown, AbstractMaterial, VHBBreakdown, field_on, largest_load, stresses
-from ..model.membrane import window_end
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..model import Profile
 from .drawing import axis_label, new_axes, sequence
-from ..model.membrane import Profile
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -21,14 +21,20 @@ import typing
 import jax.numpy as jnp
 import numpy as np
 
-from ..model.chart import map_nodes
-from ..numerics.elementary import sine_cosine
+from ..model import (
+    AbstractMaterial,
+    Membrane,
+    capacitance,
+    eighth_order_step,
+    integrate_membrane,
+    largest_load,
+    map_nodes,
+    run_chunks,
+    slopes,
+    stresses,
+)
+from ..numerics import elementwise, kept_jit, sine_cosine
 from .elements import NODES, Element, Sampler, Task, coefficients, fresh_places, marks, node_points, read, refine
-from ..numerics.compiled import elementwise, kept_jit
-from ..model.materials import AbstractMaterial, capacitance, largest_load, stresses
-from ..model.membrane import Membrane, slopes
-from ..model.programs import run_chunks
-from ..model.shooting import eighth_order_step, integrate_membrane
 
 __all__ = ["QUANTITIES", "build_elements", "columns", "edge_factors", "element", "rim_state", "sheet_states"]
 

@@ -1,6 +1,6 @@
 """Elements: boxes, each with its Chebyshev polynomials, cut until every one is exact enough; and how they are read.
 
-The axes are (λa, t), and for a family of prestretches a third; see `sheet` and `trajectories`.
+The axes are (λa, t), and for a family of prestretches a third; see `build` and `trajectories`.
 """
 
 import abc

@@ -15,7 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .files import cached_path, fingerprint, keep, kept_or_none, read_archive, same_fingerprint, write_archive
+from ..model import AbstractBreakdown, AbstractMaterial, Membrane, VHBBreakdown, largest_load
+from ..numerics import check_between, elementwise
+from .build import QUANTITIES, edge_factors
 from .elements import (
     NODES,
     Element,
@@ -34,11 +36,7 @@ from .elements import (
     unit_place,
     used,
 )
-from ..numerics.compiled import elementwise
-from ..model.materials import AbstractBreakdown, AbstractMaterial, VHBBreakdown, largest_load
-from ..model.membrane import Membrane
-from ..numerics.codes import check_between
-from .build import QUANTITIES, edge_factors
+from .files import cached_path, fingerprint, keep, kept_or_none, read_archive, same_fingerprint, write_archive
 from .surface import BOTTOM, SheetState, Surface, arrays_of, bound_of, check_tolerance, top_load, with_charge
 from .trajectories import build_trajectory_elements, share_of
 
@@ -153,7 +151,7 @@ class SurfaceFamily(eqx.Module):
 
     @classmethod
     def path_of(cls, material: AbstractMaterial, prestretch, breakdown: AbstractBreakdown, tolerance: float):
-        """Where the cache keeps the family of a material; None where it does not, see `archive.cached_path`."""
+        """Where the cache keeps the family of a material; None where it does not, see `files.cached_path`."""
         own = _fingerprint(material, prestretch, breakdown)
         return cached_path("families", _FORMAT, Membrane(material, prestretch[0], breakdown), own, tolerance)
 

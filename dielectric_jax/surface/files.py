@@ -8,10 +8,8 @@ import typing
 
 import numpy as np
 
-from ..numerics.cache import cache_folder, is_own, make_folder
-from ..numerics.compiled import of_this_package
-from ..model.materials import energy_on, field_on
-from ..model.membrane import Membrane
+from ..model import Membrane, energy_on, field_on
+from ..numerics import cache_folder, is_own, make_folder, of_this_package
 
 __all__ = ["cached_path", "fingerprint", "keep", "kept_or_none", "read_archive", "same_fingerprint", "write_archive"]
 

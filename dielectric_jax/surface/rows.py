@@ -18,8 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..numerics.compiled import kept_jit
-from ..model.materials import largest_load
+from ..model import largest_load
+from ..numerics import kept_jit
 from .surface import ById, Surface
 
 __all__ = ["ROWS", "Conditions", "Rows", "crossings", "rows_of"]

@@ -12,14 +12,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .files import cached_path, fingerprint, keep, kept_or_none, read_archive, same_fingerprint, write_archive
-from .elements import NODES, Element, chebyshev, locate, pack, padded, unit_place, used
-from ..numerics.compiled import elementwise
-from ..model.materials import AbstractBreakdown, AbstractMaterial, field_on, largest_load
-from ..model.membrane import Membrane, field_ratio_squared
-from ..numerics.codes import check_positive
-from ..model.scene import SCANNED_LOAD
+from ..model import (
+    SCANNED_LOAD,
+    AbstractBreakdown,
+    AbstractMaterial,
+    Membrane,
+    field_on,
+    field_ratio_squared,
+    largest_load,
+)
+from ..numerics import check_positive, elementwise
 from .build import QUANTITIES, build_elements, edge_factors
+from .elements import NODES, Element, chebyshev, locate, pack, padded, unit_place, used
+from .files import cached_path, fingerprint, keep, kept_or_none, read_archive, same_fingerprint, write_archive
 
 __all__ = ["ById", "SheetState", "Surface", "pressure_and_volume"]
 
@@ -134,7 +139,7 @@ class Surface(eqx.Module):
 
     @classmethod
     def path_of(cls, membrane: Membrane, tolerance: float):
-        """Where the cache keeps the surface of a membrane; None where it does not, see `archive.cached_path`."""
+        """Where the cache keeps the surface of a membrane; None where it does not, see `files.cached_path`."""
         return cached_path("surfaces", _FORMAT, membrane, fingerprint(membrane), tolerance)
 
     @classmethod

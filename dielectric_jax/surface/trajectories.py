@@ -1,11 +1,11 @@
 """The sheets of all prestretches at once: piecewise Chebyshev polynomials of (λa, t, s), s the share of the fall of λ2.
 
 Integrated from the apex at a fixed pressure, λ2 falls strictly along R and passes every prestretch λ0 = λa − s (λa − 1),
-0 < s ≤ 1; where it does, the trajectory is the equilibrium of that prestretch but for its scale (see `sheet`). So one
+0 < s ≤ 1; where it does, the trajectory is the equilibrium of that prestretch but for its scale (see `build`). So one
 trajectory of (λa, q) serves every prestretch: from the grid point nearest to each wanted s, one step of the solver with
 ξ = √s as its variable, dR/dξ = −2 (λa − 1) ξ R/(λ1 cos θ − λ2), lands on it.
 
-With m = √(s (λa − 1)) the logarithms of `sheet` are analytic in s down to the flat membrane s = 0, for R/ξ is even in ξ.
+With m = √(s (λa − 1)) the logarithms of `build` are analytic in s down to the flat membrane s = 0, for R/ξ is even in ξ.
 """
 
 import itertools
@@ -14,13 +14,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .elements import NODES, Element, Task, marks, node_points, refine
-from ..numerics.compiled import kept_jit
-from ..model.materials import AbstractMaterial, largest_load
-from ..model.membrane import slopes, window_end
-from ..model.programs import CHUNK, threads
+from ..model import (
+    CHUNK,
+    AbstractMaterial,
+    eighth_order_step,
+    integrate_membrane,
+    largest_load,
+    slopes,
+    threads,
+    window_end,
+)
+from ..numerics import kept_jit
 from .build import AbstractBuilder, columns, element, logarithms, rim_state, state_rates
-from ..model.shooting import eighth_order_step, integrate_membrane
+from .elements import NODES, Element, Task, marks, node_points, refine
 
 __all__ = ["build_trajectory_elements", "prestretch_at", "share_of"]
 

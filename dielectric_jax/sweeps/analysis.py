@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..plot.drawing import COLOURS
-from ..model.outcomes import REGIME_COLOURS
+from ..model import REGIME_COLOURS
+from ..plot import COLOURS
 from .store import need
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..numerics.codes import LARGEST, check_whole, shown
-from ..model.scene import PARAMETERS, Scene, place_of
+from ..model import PARAMETERS, Scene, place_of
+from ..numerics import LARGEST, check_whole, shown
 
 __all__ = ["Axis", "Design", "read_scenes", "samples", "zipped"]
 

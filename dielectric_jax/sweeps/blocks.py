@@ -12,25 +12,19 @@ import typing
 import jax
 import numpy as np
 
-from ..diagram.batch import continue_scenes
-from ..numerics.cache import enable_compilation_cache, enabled_folder
-from .variables import Answer, Source, answer_of_diagram, answers_of, empty_answer
-from ..diagram.diagrams import voltage_volume
-from ..diagram.chambers import (
+from ..diagram import (
     chamber_curves,
     chamber_ramps,
+    continue_scenes,
     filling_volumes,
     pressure_curves,
     pressure_ramps,
+    voltage_volume,
 )
-from ..surface.family import SurfaceFamily
-from ..model.loading import Chamber, ConstantPressure
-from ..numerics.locks import alone
-from ..model.membrane import Membrane
-from ..model.outcomes import Regime
-from ..numerics.codes import SceneError
-from ..model.scene import PARAMETERS, Scene, place_of
-from ..surface.surface import Surface
+from ..model import PARAMETERS, Chamber, ConstantPressure, Membrane, Regime, Scene, place_of
+from ..numerics import SceneError, alone, enable_compilation_cache, enabled_folder
+from ..surface import Surface, SurfaceFamily
+from .variables import Answer, Source, answer_of_diagram, answers_of, empty_answer
 
 __all__ = ["Job", "compute_block", "surface_of"]
 

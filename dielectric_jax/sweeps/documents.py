@@ -6,14 +6,24 @@ import typing
 
 import numpy as np
 
+from ..model import (
+    PARAMETERS,
+    ArrudaBoyce,
+    Chamber,
+    ConstantBreakdown,
+    ConstantPressure,
+    Gent,
+    Membrane,
+    MooneyRivlin,
+    NeoHookean,
+    Ogden,
+    Scene,
+    Units,
+    VHBBreakdown,
+    Window,
+)
+from ..numerics import LARGEST, check_whole, shown
 from .axes import MOST_VALUES
-from ..model.elastomers import MooneyRivlin, Ogden
-from ..model.loading import Chamber, ConstantPressure
-from ..model.materials import ArrudaBoyce, ConstantBreakdown, Gent, NeoHookean, VHBBreakdown
-from ..model.membrane import Membrane
-from ..numerics.codes import LARGEST, check_whole, shown
-from ..model.scene import PARAMETERS, Scene, Window
-from ..model.units import Units
 
 __all__ = ["check_dimensionless", "number", "one_of", "read_toml", "refuse", "scene_of", "table", "values"]
 

@@ -13,8 +13,8 @@ import threading
 import typing
 from collections.abc import Callable, Iterator, Sequence
 
-from ..model.programs import cores
-from ..numerics.codes import WorkersLost, shown
+from ..model import cores
+from ..numerics import WorkersLost, shown
 from .store import need
 
 __all__ = ["Progress", "executor_of", "run_blocks"]

@@ -6,10 +6,10 @@ import typing
 
 import numpy as np
 
+from ..model import Scene, place_of
+from ..numerics import shown
 from .axes import Axis, axes_of, read_scenes, samples, zipped
 from .documents import check_dimensionless, number, one_of, read_toml, refuse, scene_of, table, values
-from ..numerics.codes import shown
-from ..model.scene import Scene, place_of
 
 __all__ = ["read_specification"]
 

@@ -16,10 +16,9 @@ import zlib
 
 import numpy as np
 
+from ..numerics import Locked, StoreError, alone
 from .axes import Design
 from .variables import PARAMETER_ATTRIBUTES, Variable, described
-from ..numerics.locks import Locked, alone
-from ..numerics.codes import StoreError
 
 __all__ = ["Memory", "ZarrStore", "need", "open_group"]
 

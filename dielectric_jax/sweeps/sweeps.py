@@ -16,20 +16,15 @@ import typing
 
 import numpy as np
 
-from ..surface.files import fingerprint
+from ..diagram import check_request
+from ..model import Chamber, ConstantPressure, Scene, describe, require_float64
+from ..numerics import StoreError, check_whole, enabled_folder, source_digest
+from ..surface import check_tolerance, fingerprint
 from .axes import Axis, Design, axes_of
-from ..numerics.cache import enabled_folder
-from .variables import Answer, variables_of
-from ..model.energies import require_float64
-from .executors import Progress, executor_of, run_blocks
-from ..numerics.compiled import source_digest
-from ..model.loading import Chamber, ConstantPressure
-from ..numerics.codes import StoreError, check_whole
-from ..model.scene import Scene, describe
-from ..diagram.states import check_request
-from .store import Memory, ZarrStore, need, open_group
-from ..surface.surface import check_tolerance
 from .blocks import Job, block_size, compute_block
+from .executors import Progress, executor_of, run_blocks
+from .store import Memory, ZarrStore, need, open_group
+from .variables import Answer, variables_of
 
 __all__ = ["open_sweep", "sweep"]
 

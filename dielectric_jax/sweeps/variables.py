@@ -10,14 +10,9 @@ import typing
 
 import numpy as np
 
-from ..diagram.diagrams import Diagram
-from ..diagram.chambers import Ramps, ramps_of
-from ..model.materials import field_on
-from ..model.outcomes import FoldAhead, Outcome, Regime
-from ..diagram.ramp import ENDS
-from ..model.records import State
-from ..diagram.regimes import regime_of_diagram
-from ..numerics.codes import Code
+from ..diagram import ENDS, Diagram, Ramps, ramps_of, regime_of_diagram
+from ..model import FoldAhead, Outcome, Regime, State, field_on
+from ..numerics import Code
 
 __all__ = [
     "PARAMETER_ATTRIBUTES",

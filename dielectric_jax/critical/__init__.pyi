@@ -1,0 +1,44 @@
+from .critical_points import (
+    CriticalPoint,
+    area_strain,
+    breakdown_point,
+    breakdown_voltage,
+    landing_point,
+    snap_back_point,
+    snap_back_voltage,
+    snap_point,
+    snap_voltage,
+)
+from .cusps import (
+    bistability_onset,
+    bistability_point,
+    cusp,
+    pressure_cusp,
+    pressure_peak,
+    pressure_valley,
+    zero_voltage_point,
+)
+from .two_parameters import FoldCurve, FoldCurves, TwoParameterPoint, fold_curves
+
+__all__ = [
+    "CriticalPoint",
+    "FoldCurve",
+    "FoldCurves",
+    "TwoParameterPoint",
+    "area_strain",
+    "bistability_onset",
+    "bistability_point",
+    "breakdown_point",
+    "breakdown_voltage",
+    "cusp",
+    "fold_curves",
+    "landing_point",
+    "pressure_cusp",
+    "pressure_peak",
+    "pressure_valley",
+    "snap_back_point",
+    "snap_back_voltage",
+    "snap_point",
+    "snap_voltage",
+    "zero_voltage_point",
+]

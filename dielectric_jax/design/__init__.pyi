@@ -1,0 +1,25 @@
+from .area_strain import Design, maximise_area_strain
+from .calibration import Calibration, calibrate
+from .designs import Designs, classify_designs, surface_for
+from .measurements import Measurement, read_measurement
+from .objectives import Optimum, maximise
+from .regime_maps import Boundary, RegimeEdge, RegimeMap, regime_edges, regime_map
+
+__all__ = [
+    "Boundary",
+    "Calibration",
+    "Design",
+    "Designs",
+    "Measurement",
+    "Optimum",
+    "RegimeEdge",
+    "RegimeMap",
+    "calibrate",
+    "classify_designs",
+    "maximise",
+    "maximise_area_strain",
+    "read_measurement",
+    "regime_edges",
+    "regime_map",
+    "surface_for",
+]

@@ -1,0 +1,60 @@
+from .batch import Batch, ByLeaves, columns_of, continue_scenes, contour_of, starts
+from .chambers import (
+    Curves,
+    Point,
+    Ramps,
+    chamber_curves,
+    chamber_ramps,
+    curves_and_ramps,
+    filling_volumes,
+    first_folds_on,
+    landings_on,
+    loading_columns,
+    pressure_curves,
+    pressure_ramps,
+    ramps_of,
+)
+from .crowd import Crowd
+from .diagrams import Diagram, pressure_volume, voltage_volume
+from .glances import Glance, glance
+from .ramp import ENDS
+from .regimes import regime_of, regime_of_diagram
+from .states import check_request, equilibrium, filling
+from .stations import hermite
+from .tracing import branch_problem
+
+__all__ = [
+    "ENDS",
+    "Batch",
+    "ByLeaves",
+    "Crowd",
+    "Curves",
+    "Diagram",
+    "Glance",
+    "Point",
+    "Ramps",
+    "branch_problem",
+    "chamber_curves",
+    "chamber_ramps",
+    "check_request",
+    "columns_of",
+    "continue_scenes",
+    "contour_of",
+    "curves_and_ramps",
+    "equilibrium",
+    "filling",
+    "filling_volumes",
+    "first_folds_on",
+    "glance",
+    "hermite",
+    "landings_on",
+    "loading_columns",
+    "pressure_curves",
+    "pressure_ramps",
+    "pressure_volume",
+    "ramps_of",
+    "regime_of",
+    "regime_of_diagram",
+    "starts",
+    "voltage_volume",
+]

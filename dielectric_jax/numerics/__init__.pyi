@@ -1,0 +1,40 @@
+from .cache import cache_folder, enable_compilation_cache, enabled_folder, is_own, make_folder
+from .codes import LARGEST, Code, SceneError, StoreError, WorkersLost, check_between, check_positive, check_whole, shown
+from .compiled import elementwise, kept_jit, of_this_package, source_digest
+from .continuation import Problem, Steps, Trace, Walk, advance, begin, trace
+from .elementary import log1p, reciprocal, sine_cosine, softplus
+from .locks import Locked, alone
+
+__all__ = [
+    "LARGEST",
+    "Code",
+    "Locked",
+    "Problem",
+    "SceneError",
+    "Steps",
+    "StoreError",
+    "Trace",
+    "Walk",
+    "WorkersLost",
+    "advance",
+    "alone",
+    "begin",
+    "cache_folder",
+    "check_between",
+    "check_positive",
+    "check_whole",
+    "elementwise",
+    "enable_compilation_cache",
+    "enabled_folder",
+    "is_own",
+    "kept_jit",
+    "log1p",
+    "make_folder",
+    "of_this_package",
+    "reciprocal",
+    "shown",
+    "sine_cosine",
+    "softplus",
+    "source_digest",
+    "trace",
+]

@@ -1,0 +1,19 @@
+from .family import SurfaceFamily
+from .files import fingerprint
+from .rows import ROWS, Conditions, Rows, crossings, rows_of
+from .surface import ById, SheetState, Surface, check_tolerance, pressure_and_volume
+
+__all__ = [
+    "ROWS",
+    "ById",
+    "Conditions",
+    "Rows",
+    "SheetState",
+    "Surface",
+    "SurfaceFamily",
+    "check_tolerance",
+    "crossings",
+    "fingerprint",
+    "pressure_and_volume",
+    "rows_of",
+]

@@ -1,0 +1,31 @@
+from .analysis import best_designs, compare_sweeps, count_sweep, export_sweep, plot_sweep, select_regime
+from .axes import Axis, read_scenes, samples, zipped
+from .documents import check_dimensionless, number, read_toml, refuse, scene_of, table
+from .specification import read_specification
+from .store import need
+from .sweeps import open_sweep, sweep
+from .variables import Answer
+
+__all__ = [
+    "Answer",
+    "Axis",
+    "best_designs",
+    "check_dimensionless",
+    "compare_sweeps",
+    "count_sweep",
+    "export_sweep",
+    "need",
+    "number",
+    "open_sweep",
+    "plot_sweep",
+    "read_scenes",
+    "read_specification",
+    "read_toml",
+    "refuse",
+    "samples",
+    "scene_of",
+    "select_regime",
+    "sweep",
+    "table",
+    "zipped",
+]
