@@ -39,7 +39,7 @@ POSITION = 2e-5  # allowed difference of a special point's q, relative to max(|q
 
 @jax.jit
 def _map(limit, apex, q, rim, steps):
-    return dj.explicit_map(dj.Gent(limit), apex, q, rim, steps)
+    return dj.model.explicit_map(dj.Gent(limit), apex, q, rim, steps)
 
 
 def explicit(limit, apex, q, rim, steps, chunk=640):

@@ -81,7 +81,7 @@ def measure(entry: Entry, truth: dict[float, Found]) -> dict:
     }
 
 
-def of_diagram(diagram: dj.Diagram) -> Found:
+def of_diagram(diagram: dj.diagram.Diagram) -> Found:
     """The special points of the branch through the filling, up to breakdown."""
     ramp = diagram.ramp()
     start = ramp.events[0].state
@@ -144,12 +144,12 @@ def continuation_entries(lanes, quick):
         )
 
 
-def unresolved(ramps: dj.Ramps) -> int:
+def unresolved(ramps: dj.diagram.Ramps) -> int:
     """How many lanes the engine leaves to `voltage_volume`."""
-    return int((ramps.outcome == dj.Outcome.unresolved).sum())
+    return int((ramps.outcome == dj.model.Outcome.unresolved).sum())
 
 
-def of_ramps(lanes: list[float], ramps: dj.Ramps) -> dict[float, Found]:
+def of_ramps(lanes: list[float], ramps: dj.diagram.Ramps) -> dict[float, Found]:
     """The special points of every lane, up to its first breakdown."""
     found = {}
     folds, zeros, breaks = ramps.folds, ramps.zero_voltage, ramps.breakdowns
@@ -179,7 +179,7 @@ def surface_entries(lanes, quick):
         build = time.perf_counter() - begin
 
         def run(surface=surface):
-            ramps = dj.chamber_ramps(surface, lanes, chambers.INITIAL_VOLUME)
+            ramps = dj.diagram.chamber_ramps(surface, lanes, chambers.INITIAL_VOLUME)
             return ramps, unresolved(ramps)
 
         yield Entry(
@@ -202,8 +202,8 @@ def surface_entries(lanes, quick):
 def resolved(surface, lanes):
     """The ramps, and diagrams on the surface, certified by shooting, of the lanes that they leave unresolved."""
     begin = time.perf_counter()
-    ramps = dj.chamber_ramps(surface, lanes, chambers.INITIAL_VOLUME)
-    rest = [c for c, outcome in zip(lanes, ramps.outcome, strict=True) if outcome == dj.Outcome.unresolved]
+    ramps = dj.diagram.chamber_ramps(surface, lanes, chambers.INITIAL_VOLUME)
+    rest = [c for c, outcome in zip(lanes, ramps.outcome, strict=True) if outcome == dj.model.Outcome.unresolved]
     found = one_by_one(rest, 1e-9, surface=surface)
     seconds = time.perf_counter() - begin
     return of_ramps(lanes, ramps) | found, seconds, {"unresolved": 0, "by_voltage_volume": len(rest)}

@@ -47,7 +47,7 @@ def solve(scene, over, wishes, compare: int, repeat: int) -> dict:
     """One problem: the design, the scan, the seconds."""
     surface = None
     if "prestretch" in over:
-        surface = dj.SurfaceFamily.build(scene.membrane.material, prestretch=(1.0, 3.0))
+        surface = dj.surface.SurfaceFamily.build(scene.membrane.material, prestretch=(1.0, 3.0))
     best = None
     seconds = []
     for _ in range(repeat):

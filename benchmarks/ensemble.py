@@ -18,7 +18,7 @@ import numpy as np
 from records import machine, write
 
 import dielectric_jax as dj
-from dielectric_jax import Outcome
+from dielectric_jax.model import Outcome
 
 jax.config.update("jax_enable_x64", True)
 dj.enable_compilation_cache()
@@ -119,10 +119,10 @@ def batches(surface, loadings: list):
     chambers = [x for x in loadings if isinstance(x, dj.Chamber)]
     if chambers:
         columns = [[x.volume for x in chambers], [x.initial_volume for x in chambers]]
-        yield dj.chamber_ramps(surface, *columns), chambers
+        yield dj.diagram.chamber_ramps(surface, *columns), chambers
     pressures = [x for x in loadings if isinstance(x, dj.ConstantPressure)]
     if pressures:
-        yield dj.pressure_ramps(surface, [x.pressure for x in pressures]), pressures
+        yield dj.diagram.pressure_ramps(surface, [x.pressure for x in pressures]), pressures
 
 
 def apart(mine, theirs) -> np.ndarray:
@@ -209,7 +209,7 @@ def one_membrane(membrane, count: int, sample: int, random, records: list) -> di
             tally["largest_difference"] = max(tally["largest_difference"], apart)
             if missing or apart > ALLOWED:
                 seen = {"difference": apart, "missing": missing, "reason": diagram.area_strain_reason}
-                seen |= {"scene": dj.describe(scenes[j]), "batch": Outcome(int(others.outcome[j])).name}
+                seen |= {"scene": dj.model.describe(scenes[j]), "batch": Outcome(int(others.outcome[j])).name}
                 records.append(seen | {"outcome": Outcome(int(ramps.outcome[i])).name, "complete": diagram.complete})
     return {
         "prestretch": float(membrane.prestretch),

@@ -53,7 +53,7 @@ def _map_with_slopes(limit, apex, q, rim):
     """Pressure and volume of the explicit map and their slopes by q; lanes are distinct membranes."""
 
     def at(q):
-        return dj.explicit_map(dj.Gent(limit), apex, q, rim, 160.0)[:2]
+        return dj.model.explicit_map(dj.Gent(limit), apex, q, rim, 160.0)[:2]
 
     return jax.jvp(at, (q,), (q * 0 + 1.0,))
 

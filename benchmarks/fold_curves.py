@@ -39,10 +39,10 @@ def known_numbers(quick: bool) -> dict:
     """Cusps and the onset of bistability, by the search for each."""
     scene = chamber(1600.0)
     if quick:
-        return {"bistability": dj.bistability_point(scene)}
-    cusps = [dj.cusp(scene, k, within=(300.0, 5000.0)) for k in (0, 1)]
-    onset = dj.bistability_point(scene)
-    merged = dj.pressure_cusp(dj.Membrane(), within=(1.8, 2.6))
+        return {"bistability": dj.critical.bistability_point(scene)}
+    cusps = [dj.critical.cusp(scene, k, within=(300.0, 5000.0)) for k in (0, 1)]
+    onset = dj.critical.bistability_point(scene)
+    merged = dj.critical.pressure_cusp(dj.Membrane(), within=(1.8, 2.6))
     return dict(zip(KNOWN, [*cusps, onset, merged], strict=True))
 
 
@@ -76,7 +76,7 @@ def apart_from_surface(surface, over) -> tuple[float, int]:
     """The largest relative difference of Φ between curves and chambers on the surface, and how many points have it."""
     worst, compared = 0.0, 0
     for curve in over.curves:
-        ramps = dj.chamber_ramps(surface, curve.parameter, FILLING)
+        ramps = dj.diagram.chamber_ramps(surface, curve.parameter, FILLING)
         points = ramps.folds if curve.kind == "fold" else ramps.breakdowns
         inside = (curve.breakdown_ratio < 1.1) & (curve.voltage > 0.02)
         for k in np.flatnonzero(inside):
@@ -93,7 +93,7 @@ def draw_derivatives(axes, surface) -> dict:
     """Left: snap voltage with tangents. Right: apex stretch before and after the snap, and on the branch at a voltage."""
     left, right = axes
     volumes = np.geomspace(551.5, 4000.0, 300)
-    ramps = dj.chamber_ramps(surface, volumes, FILLING)
+    ramps = dj.diagram.chamber_ramps(surface, volumes, FILLING)
     left.plot(volumes, ramps.snap.voltage[:, 0], color="C0", label=r"snap voltage $\Phi_s(V_C)$")
     at = np.array([620.0, 900.0, 1600.0, 3000.0])
     value, slope = jax.vmap(
@@ -109,7 +109,7 @@ def draw_derivatives(axes, surface) -> dict:
     near = 1600.0 - np.geomspace(1e-3, 900.0, 200)[::-1]
     held = []
     for v in near:  # the stable state at the voltage at which V_C = 1600 snaps
-        curve = dj.chamber_curves(surface, float(v), FILLING)
+        curve = dj.diagram.chamber_curves(surface, float(v), FILLING)
         q, apex = curve.voltage_squared, curve.apex_stretch
         start = int(np.argmax(q > 0))
         i = start + int(np.argmax(q[start:] > load))

@@ -22,7 +22,8 @@ import truth
 from records import machine, write
 
 import dielectric_jax as dj
-from dielectric_jax import Code, Outcome, SceneError
+from dielectric_jax import Code, SceneError
+from dielectric_jax.model import Outcome
 
 jax.config.update("jax_enable_x64", True)
 
@@ -261,7 +262,7 @@ def near_peak(quick: bool) -> Iterator[Row]:
             told = f"start V {events[0].state.volume:.8g}"
         by = known + ", ∂p/∂q by differences"
         yield answer.row(asked + ", ramp", true, by, told, error, TOLERANCE, ", ".join(lost))
-    answer = ask(dj.pressure_ramps, surface_of(), PEAK_PRESSURE * (1 - 1e-10))
+    answer = ask(dj.diagram.pressure_ramps, surface_of(), PEAK_PRESSURE * (1 - 1e-10))
     flag = "unresolved" if answer.value.outcome == Outcome.unresolved else ""
     told = Outcome(int(answer.value.outcome)).name
     asked = "Φ = 0, p = p_peak(1 − 1e-10), ramp"
@@ -308,7 +309,7 @@ def filling_at_peak(quick: bool) -> Iterator[Row]:
                 good = up.area_strain_reason == "start_unstable"
             told = f"{ramp_of(answer.value)} ({up.area_strain_reason})"
             yield answer.row(asked, true, known, told, 0.0 if good else math.inf, TOLERANCE, ", ".join(lost))
-            ramps = ask(dj.chamber_ramps, surface_of(), volume, critical * (1 - share))
+            ramps = ask(dj.diagram.chamber_ramps, surface_of(), volume, critical * (1 - share))
             outcome = Outcome(int(ramps.value.outcome))
             flag = "unresolved" if outcome is Outcome.unresolved else ""
             good = (outcome is Outcome.start_unstable) == (share < 0)
@@ -343,7 +344,7 @@ def extreme_chambers(quick: bool) -> Iterator[Row]:
         if events != expected:
             row.error = math.inf
         yield row
-        ramps = ask(dj.chamber_ramps, surface_of(), volume, FILLING)
+        ramps = ask(dj.diagram.chamber_ramps, surface_of(), volume, FILLING)
         unresolved = bool(ramps.value.outcome == Outcome.unresolved)
         snap = float(ramps.value.snap.voltage[0])
         load = fold.voltage_squared if row.right else math.nan
@@ -410,7 +411,7 @@ def lock_up(quick: bool) -> Iterator[Row]:
         yield refused(answer, f"Φ = 0, V = {name}", true, known, f"{most:.6g}")
         answer = voltage_volume(chamber(1600.0, volume))
         yield refused(answer, f"V_C = 1600, V_0 = {name}", true, known, f"{most:.6g}")
-    answer = ask(dj.chamber_ramps, surface_of(), 1600.0, 468.9)
+    answer = ask(dj.diagram.chamber_ramps, surface_of(), 1600.0, 468.9)
     flag = "unresolved" if answer.value.outcome == Outcome.unresolved else ""
     asked = "V_C = 1600, V_0 = 468.9"
     yield answer.row(asked, "none in the window", known, flag, math.inf, TOLERANCE, flag, engine="surface")
@@ -468,7 +469,7 @@ def _beyond(fold, voltage: float, cone: float) -> bool:
 def negative_loads(quick: bool) -> Iterator[Row]:
     for loading, name in ((chamber(1600.0), "V_C = 1600"), (dj.ConstantPressure(1.2), "p = 1.2")):
         for low in (-20.0,) if quick else (-1.0, -5.0, -20.0):
-            answer = voltage_volume(loading, window=dj.Window(load_fraction=(low, 0.9)))
+            answer = voltage_volume(loading, window=dj.model.Window(load_fraction=(low, 0.9)))
             row = branches_row(answer, f"{name}, load window from t = {low:g}", J, 1.0, 8 if quick else 20, (-21, 0.0))
             least = min(
                 float((b.voltage_squared / truth.largest_load(b.apex_stretch, J)).min()) for b in answer.value.branches
@@ -603,7 +604,7 @@ def cusps(quick: bool) -> Iterator[Row]:
             known = f"the least slope of q(λa), {slope:.2g}, in extended precision"
             true = "snaps" if expected else "no snap"
             yield answer.row(asked, true, known, told, 0.0 if snaps == expected else math.inf)
-        ramps = ask(dj.chamber_ramps, surface_of(), critical + sign * shifts, FILLING)
+        ramps = ask(dj.diagram.chamber_ramps, surface_of(), critical + sign * shifts, FILLING)
         lost = ramps.value.outcome == Outcome.unresolved
         wrong = int((~lost & (ramps.value.snaps != (shifts < 0))).sum())
         told = f"snaps {[('unresolved' if n else int(s)) for n, s in zip(lost, ramps.value.snaps, strict=True)]}"
@@ -651,7 +652,7 @@ def several_loads(quick: bool) -> Iterator[Row]:
         true = f"{len(roots)}: q " + ", ".join(f"{q:.8g}" for q, _ in roots)
         told = f"{len(mine)}: q " + ", ".join(f"{q:.4g}" for q in mine)
         yield diagram.row(asked, true, "p(t) scanned in extended precision", told, error)
-    answer = ask(dj.pressure_ramps, surface_of(), pressure)
+    answer = ask(dj.diagram.pressure_ramps, surface_of(), pressure)
     events = diagram.value.ramp()
     snap = events["snap"][0].state
     outcome = Outcome(int(answer.value.outcome))
@@ -668,11 +669,11 @@ def mixed_batches(quick: bool) -> Iterator[Row]:
     surface = surface_of()
     chambers = np.array([1600.0, 1e-3, 800.0, 1e9, 30.0, 484.04866, 1600.0, 551.4, 25000.0, 10.0, 1600.0])
     fillings = np.array([2.42, 2.42, 2.42, 2.42, 2.42, 2.42, 468.9, 2.42, 2.9634068, 1e-9, 1e9])
-    together = ask(dj.chamber_ramps, surface, chambers, fillings)
+    together = ask(dj.diagram.chamber_ramps, surface, chambers, fillings)
     worst = 0.0
     some = range(0, len(chambers), 5 if quick else 1)
     for i in some:
-        alone = dj.chamber_ramps(surface, chambers[i], fillings[i])
+        alone = dj.diagram.chamber_ramps(surface, chambers[i], fillings[i])
         same = jax.tree.map(
             lambda a, b, i=i: bool(np.array_equal(np.asarray(a)[i], b, equal_nan=True)), together.value, alone
         )
@@ -697,10 +698,10 @@ def mixed_batches(quick: bool) -> Iterator[Row]:
     known = "the volume of lock-up, 455.3"
     yield together.row(asked, true, known, told, 0.0 if good else math.inf, engine="surface")
     pressures = np.array([1.0, PEAK_PRESSURE * (1 - 1e-10), 1.82, 1e-9, 1.5, 50.0, 1e6])
-    together = ask(dj.pressure_ramps, surface, pressures)
+    together = ask(dj.diagram.pressure_ramps, surface, pressures)
     worst = 0.0
     for i in (2,) if quick else range(len(pressures)):
-        alone = dj.pressure_ramps(surface, pressures[i])
+        alone = dj.diagram.pressure_ramps(surface, pressures[i])
         same = jax.tree.map(
             lambda a, b, i=i: bool(np.array_equal(np.asarray(a)[i], b, equal_nan=True)), together.value, alone
         )
@@ -745,7 +746,7 @@ def second_derivatives(quick: bool) -> Iterator[Row]:
 
         true = differences(lag, at, np.array([2e-3, 2e-3, 1e-4], truth.EXTENDED))
         answer = ask(
-            jax.hessian(lambda x: dj.shoot(dj.Gent(J), x[0], x[1], x[2], steps=64.0).lag), np.array(point, float)
+            jax.hessian(lambda x: dj.model.shoot(dj.Gent(J), x[0], x[1], x[2], steps=64.0).lag), np.array(point, float)
         )
         mine = np.asarray(answer.value)
         scale = np.sqrt(np.abs(np.outer(np.diag(true), np.diag(true)))) + 1e-3

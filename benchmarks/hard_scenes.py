@@ -20,7 +20,8 @@ from ensemble import ALLOWED, batches, difference, random_loadings
 from records import machine, write
 
 import dielectric_jax as dj
-from dielectric_jax import Outcome, SceneError, describe
+from dielectric_jax import SceneError
+from dielectric_jax.model import Outcome, describe
 
 jax.config.update("jax_enable_x64", True)
 

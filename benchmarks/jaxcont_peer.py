@@ -13,7 +13,8 @@ import jaxcont
 import numpy as np
 from scipy_peers import SCALE, START
 
-from dielectric_jax import Gent, VHBBreakdown, stresses
+from dielectric_jax import Gent, VHBBreakdown
+from dielectric_jax.model import stresses
 from dielectric_jax.model.membrane import apex_series, slopes
 from dielectric_jax.model.shooting import eighth_order_step, graded_map
 

@@ -139,9 +139,9 @@ def surface(scene, random):
     dj.glance(scene, sheet)
     dj.voltage_volume(scene, surface=sheet)
     count = int(random.integers(1, 40))
-    dj.chamber_ramps(sheet, np.geomspace(10.0, 25000.0, count), random.uniform(0.5, 3.0, count))
-    dj.pressure_ramps(sheet, random.uniform(0.2, 2.0, count))
-    dj.chamber_curves(sheet, 1600.0, random.uniform(0.5, 3.0, count))
+    dj.diagram.chamber_ramps(sheet, np.geomspace(10.0, 25000.0, count), random.uniform(0.5, 3.0, count))
+    dj.diagram.pressure_ramps(sheet, random.uniform(0.2, 2.0, count))
+    dj.diagram.chamber_curves(sheet, 1600.0, random.uniform(0.5, 3.0, count))
 
 
 def sweep(engine):
@@ -157,9 +157,9 @@ def sweep(engine):
 def critical(scene, random):
     dj.snap_voltage(scene)
     dj.area_strain(scene)
-    dj.breakdown_point(scene)
-    dj.landing_point(scene)
-    dj.snap_back_voltage(scene)
+    dj.critical.breakdown_point(scene)
+    dj.critical.landing_point(scene)
+    dj.critical.snap_back_voltage(scene)
 
 
 def derivatives(scene, random):
@@ -172,11 +172,11 @@ def derivatives(scene, random):
 
 
 def turning(scene, random):
-    dj.pressure_peak(scene.membrane, 0.01, throw=False)
-    dj.zero_voltage_point(scene, throw=False)
+    dj.critical.pressure_peak(scene.membrane, 0.01, throw=False)
+    dj.critical.zero_voltage_point(scene, throw=False)
     chamber = chambers_of(scene, random)
-    dj.bistability_point(chamber, throw=False)
-    dj.pressure_cusp(scene.membrane, throw=False)
+    dj.critical.bistability_point(chamber, throw=False)
+    dj.critical.pressure_cusp(scene.membrane, throw=False)
 
 
 def states(scene, random):

@@ -65,7 +65,7 @@ def peak(membrane: dj.Membrane) -> tuple[float, float]:
     """Volume and pressure at the first maximum of the pressure at zero voltage, or half way to lock-up without one."""
     rim, top = float(membrane.prestretch), membrane.lock_up_stretch()[0]
     apex = rim + (top - rim) * np.linspace(0.01, 0.99, 256) ** 2
-    p, v, slope = (np.asarray(x) for x in dj.explicit_map(membrane.material, apex, 0.0, rim, 64.0))
+    p, v, slope = (np.asarray(x) for x in dj.model.explicit_map(membrane.material, apex, 0.0, rim, 64.0))
     good = np.isfinite(p) & np.isfinite(v) & (slope < 0)
     p, v = p[good], v[good]
     falls = np.flatnonzero(np.diff(p) < 0)
@@ -141,7 +141,7 @@ def parameters_of(loading) -> dict:
 
 
 def by_sweep(scene, columns: dict, engine: str) -> list[Answer]:
-    data = dj.sweep(scene, dj.zipped(**columns), engine=engine, progress=False)
+    data = dj.sweep(scene, dj.sweeps.zipped(**columns), engine=engine, progress=False)
     found = []
     for i, code in enumerate(data.regime.values):
         answer = Answer(regime=dj.Regime(int(code)).name)
@@ -155,12 +155,14 @@ def by_sweep(scene, columns: dict, engine: str) -> list[Answer]:
 def by_surface(surface, columns: dict) -> list[Answer]:
     columns = {name: np.array(values) for name, values in columns.items()}
     if "pressure" in columns:
-        ramps = dj.pressure_ramps(surface, columns["pressure"])
+        ramps = dj.diagram.pressure_ramps(surface, columns["pressure"])
     else:
         if "initial_pressure" in columns:
-            filled = dj.filling_volumes(surface, columns.pop("initial_pressure"))
+            filled = dj.diagram.filling_volumes(surface, columns.pop("initial_pressure"))
             columns["initial_volume"] = np.where(np.isfinite(filled), filled, 1e-300)
-        ramps = dj.chamber_ramps(surface, columns.pop("chamber_volume"), columns.pop("initial_volume"), **columns)
+        ramps = dj.diagram.chamber_ramps(
+            surface, columns.pop("chamber_volume"), columns.pop("initial_volume"), **columns
+        )
     return [of_ramps(ramps, i) for i in range(len(ramps.outcome))]
 
 
@@ -276,7 +278,7 @@ def main() -> int:
                 undecided[way] += answer["regime"] == OPEN
             regimes[next((a["regime"] for a in answers.values() if a["regime"] != OPEN), OPEN)] += 1
             if disagree(answers):
-                differing.append({"scene": dj.describe(scene), "answers": dict(answers)})
+                differing.append({"scene": dj.model.describe(scene), "answers": dict(answers)})
                 print(differing[-1], file=sys.stderr, flush=True)
         if options.quick or members % 5 == 0 or done == options.scenes:
             left = {way: round(undecided[way] / asked[way], 4) for way in asked}

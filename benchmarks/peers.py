@@ -96,14 +96,14 @@ def run_glance(scene: dj.Scene, surface: dj.Surface) -> dict:
 def run_ramps(surface: dj.Surface, chambers: np.ndarray) -> dict:
     """The ramps of many chambers, the last of which is judged; seconds of one."""
     begin = time.perf_counter()
-    ramps = dj.chamber_ramps(surface, chambers, 2.42)
+    ramps = dj.diagram.chamber_ramps(surface, chambers, 2.42)
     seconds = time.perf_counter() - begin
     return {
         "holds": "branch and all events",
         "seconds": seconds / len(chambers),
         "points": 256,
         "chambers": len(chambers),
-        "unresolved": int((ramps.outcome == dj.Outcome.unresolved).sum()),
+        "unresolved": int((ramps.outcome == dj.model.Outcome.unresolved).sum()),
         "folds": int(np.isfinite(ramps.folds.volume[-1]).sum()),
         "snap": ramps.snap.voltage[-1, 0],
         "breakdown": ramps.breakdown.voltage[-1],

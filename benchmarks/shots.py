@@ -37,7 +37,7 @@ class States:
         largest = truth.largest_load(self.apex, STRETCH_LIMIT)
         low, high = -0.3 * largest, np.minimum(breakdown_load(self.apex), 0.8 * largest)
         self.q = low + (high - low) * random.uniform(size=count)
-        guess = jax.jit(dj.explicit_map)(MATERIAL, self.apex, self.q, 1.0)[0]
+        guess = jax.jit(dj.model.explicit_map)(MATERIAL, self.apex, self.q, 1.0)[0]
         p, v, uncertain = truth.exact(self.apex, guess, self.q, STRETCH_LIMIT, 1.0, steps=280)
         assert uncertain.max() < 1e-12, uncertain.max()
         self.p, self.v = (np.asarray(w, float) for w in (p, v))
@@ -127,7 +127,7 @@ def _series(lane):
     scale = jnp.minimum(1 / kappa, 1.0)
     first = _FIRST * scale
     l1, l2 = apex + a * first**2, apex + b * first**2
-    slope = jnp.arcsin(p * first * l2**2 / (2 * dj.stresses(MATERIAL, l1, l2, q)[0]))
+    slope = jnp.arcsin(p * first * l2**2 / (2 * dj.model.stresses(MATERIAL, l1, l2, q)[0]))
     return scale, first, jnp.stack([a * first**2, b * first**2, slope, jnp.pi / 4 * apex**3 * kappa * first**4])
 
 
@@ -224,7 +224,7 @@ def map_records(quick: bool) -> list[dict]:
 
     def own(lanes, steps):
         apex, _, q = lanes
-        return dj.explicit_map(MATERIAL, apex, q, 1.0, steps)[:2]
+        return dj.model.explicit_map(MATERIAL, apex, q, 1.0, steps)[:2]
 
     steps = (16, 32) if quick else (8, 12, 16, 24, 32, 48, 64, 96)
     out = records_of("map", "dielectric_jax, explicit map", "steps", steps, own, states, states.map_error, rounds)

@@ -55,7 +55,7 @@ def draw(count: int, seed: int) -> dict:
 
 @jax.jit
 def _map(limit, apex, q, rim, steps):
-    return dj.explicit_map(dj.Gent(limit), apex, q, rim, steps)
+    return dj.model.explicit_map(dj.Gent(limit), apex, q, rim, steps)
 
 
 def equilibria(states: dict) -> dict:
@@ -91,7 +91,7 @@ def ours(states: dict, which: np.ndarray) -> dict:
     membrane = dj.Membrane(dj.Gent(float(states["stretch_limit"][i])), float(states["prestretch"][i]))
     nothing = {"height": 0.0, "charge": 0.0, "breakdown_ratio": 0.0, "index": None, "error_estimate": 0.0}
     records = [
-        dj.State(
+        dj.model.State(
             voltage_squared=float(states["q"][k]),
             pressure=float(states["pressure"][k]),
             volume=float(states["volume"][k]),

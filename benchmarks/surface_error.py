@@ -35,7 +35,9 @@ def surfaces(quick: bool, family: bool, random):
         material = dj.Gent(limit)
         if family:
             span = (1.0, 1.2) if quick else (1.0, 3.0)
-            whole = dj.SurfaceFamily.build(material, prestretch=span, cache=False, tolerance=1e-7 if quick else 1e-9)
+            whole = dj.surface.SurfaceFamily.build(
+                material, prestretch=span, cache=False, tolerance=1e-7 if quick else 1e-9
+            )
         for rim in rims:
             begin = time.perf_counter()
             if family:

@@ -19,7 +19,7 @@ from first_diagram import calibrate
 from records import machine, write
 
 import dielectric_jax as dj
-from dielectric_jax import Outcome
+from dielectric_jax.model import Outcome
 
 jax.config.update("jax_enable_x64", True)
 dj.enable_compilation_cache()
@@ -73,18 +73,18 @@ def main() -> int:
     total = 512 if options.quick else options.chambers
     span, tolerance = ((1.5, 1.6), 1e-8) if options.quick else ((1.0, 3.0), 1e-9)
     material = dj.Gent(270.0)
-    build = timed(lambda: dj.SurfaceFamily.build(material, prestretch=span, tolerance=tolerance, cache=False))
+    build = timed(lambda: dj.surface.SurfaceFamily.build(material, prestretch=span, tolerance=tolerance, cache=False))
     family, groups, seconds = build[0], [], 0.0
     outcomes, largest_bound = np.zeros(len(Outcome), int), 0.0
     for prestretch in np.linspace(*span, count):
         surface, made = timed(family.surface, prestretch)
         chambers, fillings = random_chambers(surface.membrane, total // count, random)
         some = chambers[:256], fillings[:256]
-        dj.chamber_ramps(surface, *some)  # compiles once for all prestretches
-        dj.chamber_curves(surface, *some)
-        ramps, spent = timed(dj.chamber_ramps, surface, chambers, fillings)
+        dj.diagram.chamber_ramps(surface, *some)  # compiles once for all prestretches
+        dj.diagram.chamber_curves(surface, *some)
+        ramps, spent = timed(dj.diagram.chamber_ramps, surface, chambers, fillings)
         few = slice(0, 8192)  # the curves of all would not be kept
-        curves, drawn = timed(dj.chamber_curves, surface, chambers[few], fillings[few])
+        curves, drawn = timed(dj.diagram.chamber_curves, surface, chambers[few], fillings[few])
         seconds += made + spent
         outcomes += np.bincount(ramps.outcome, minlength=len(Outcome))
         largest_bound = max(largest_bound, float(np.nanmax(ramps.error)))

@@ -52,7 +52,7 @@ def errors(data) -> dict:
     truth, worst, decided = reference(), 0.0, 0
     for i, one in enumerate(truth.values()):
         told = data.isel(chamber_volume=i)
-        if int(told.outcome) == dj.Answer.unresolved:
+        if int(told.outcome) == dj.sweeps.Answer.unresolved:
             continue
         decided += 1
         known = told.fold_voltage.values
@@ -68,7 +68,7 @@ def errors(data) -> dict:
 def drawn(count: int):
     from scipy import stats
 
-    return dj.samples(
+    return dj.sweeps.samples(
         count, chamber_volume=stats.loguniform(300, 25000), initial_volume=stats.uniform(2.0, 0.8), method="random"
     )
 
@@ -132,7 +132,7 @@ def main() -> int:
                     "seconds": seconds,
                     "scenes_per_second": count / seconds,
                     "gigabytes": gigabytes(),
-                    "outcomes": dj.count_sweep(data)["outcome"],
+                    "outcomes": dj.sweeps.count_sweep(data)["outcome"],
                     **{key: records[0][key] for key in ("error", "decided", "references")},
                 }
             )

@@ -12,7 +12,7 @@ SCENE = dj.Scene(dj.Membrane(), dj.Chamber(volume=1600.0, initial_volume=2.42))
 
 def test_a_product_and_a_list_make_every_scene_once():
     design = Design(
-        SCENE, (*axes_of({"prestretch": [1, 2]}), dj.zipped(chamber_volume=[5, 6, 7], initial_volume=[1, 2, 3]))
+        SCENE, (*axes_of({"prestretch": [1, 2]}), dj.sweeps.zipped(chamber_volume=[5, 6, 7], initial_volume=[1, 2, 3]))
     )
     assert design.dimensions == ("prestretch", "scene") and design.count == 6
     columns = design.columns([slice(None), slice(None)])
@@ -41,8 +41,8 @@ def test_blocks_cover_the_grid_once_and_hold_few_membranes(most):
 @pytest.mark.parametrize("method", ["sobol", "latin_hypercube", "random"])
 def test_samples_follow_their_distributions(method):
     given = {"chamber_volume": stats.loguniform(10, 1000), "initial_volume": stats.uniform(1, 2)}
-    axis = dj.samples(1000, method=method, seed=5, **given)
-    again = dj.samples(1000, method=method, seed=5, **given)
+    axis = dj.sweeps.samples(1000, method=method, seed=5, **given)
+    again = dj.sweeps.samples(1000, method=method, seed=5, **given)
     for name, distribution in given.items():
         assert np.array_equal(axis.columns[name], again.columns[name])
         share = np.sort(distribution.cdf(axis.columns[name]))
@@ -52,14 +52,14 @@ def test_samples_follow_their_distributions(method):
         strata = np.floor(given["initial_volume"].cdf(axis.columns["initial_volume"]) * 1000)
         assert len(np.unique(strata)) > 990  # one a stratum, but for rounding at its edges
     assert not np.array_equal(
-        axis.columns["initial_volume"], dj.samples(1000, seed=6, **given).columns["initial_volume"]
+        axis.columns["initial_volume"], dj.sweeps.samples(1000, seed=6, **given).columns["initial_volume"]
     )
 
 
 def test_a_table_is_read(tmp_path):
     path = tmp_path / "scenes.csv"
     path.write_text("chamber_volume, initial_volume\n800,2.42\n1600, 2.0\n")
-    axis = dj.read_scenes(path)
+    axis = dj.sweeps.read_scenes(path)
     assert axis.columns["chamber_volume"].tolist() == [800, 1600]
     assert axis.columns["initial_volume"].tolist() == [2.42, 2.0]
 
@@ -79,7 +79,7 @@ def test_a_wrong_table_is_refused(tmp_path, text, said):
     path = tmp_path / "scenes.csv"
     path.write_text(text)
     with pytest.raises(ValueError) as error:
-        Design(SCENE, (dj.read_scenes(path),))  # which names there are the scene says
+        Design(SCENE, (dj.sweeps.read_scenes(path),))  # which names there are the scene says
     assert said in str(error.value)
 
 
@@ -91,14 +91,14 @@ def test_a_wrong_table_is_refused(tmp_path, text, said):
         (lambda: axes_of({"prestretch": []}), "at least one number"),
         (lambda: axes_of({"moduli": [1.0]}), "value is a list"),
         (lambda: axes_of({"prestretch": ["a"]}), "list of numbers"),
-        (lambda: dj.zipped(prestretch=[1, 2], pressure=[1.0]), "one length"),
-        (lambda: dj.zipped("no name", prestretch=[1, 2]), "`dimension`"),
-        (lambda: dj.samples(8, prestretch=[1, 2]), "`ppf`"),
-        (lambda: dj.samples(0, prestretch=stats.uniform(1, 2)), "`count`"),
-        (lambda: dj.samples(8, method="best", prestretch=stats.uniform(1, 2)), "`method`"),
+        (lambda: dj.sweeps.zipped(prestretch=[1, 2], pressure=[1.0]), "one length"),
+        (lambda: dj.sweeps.zipped("no name", prestretch=[1, 2]), "`dimension`"),
+        (lambda: dj.sweeps.samples(8, prestretch=[1, 2]), "`ppf`"),
+        (lambda: dj.sweeps.samples(0, prestretch=stats.uniform(1, 2)), "`count`"),
+        (lambda: dj.sweeps.samples(8, method="best", prestretch=stats.uniform(1, 2)), "`method`"),
         (lambda: Design(SCENE, ()), "at least one axis"),
         (
-            lambda: Design(SCENE, (dj.zipped(prestretch=[1]), *axes_of({"prestretch": [1]}))),
+            lambda: Design(SCENE, (dj.sweeps.zipped(prestretch=[1]), *axes_of({"prestretch": [1]}))),
             "`prestretch` must be given once",
         ),
         (lambda: Design(SCENE, axes_of({"pressure": [1.0]})), "parameter of this scene"),

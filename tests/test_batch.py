@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import dielectric_jax as dj
-from dielectric_jax import Outcome, continue_scenes
+from dielectric_jax import continue_scenes
 from dielectric_jax.diagram.polylines import Places, Polylines
+from dielectric_jax.model import Outcome
 
 DATA = pathlib.Path(__file__).parent.parent / "benchmarks" / "data" / "chambers.csv"
 FILM = dj.Membrane()
@@ -143,7 +144,7 @@ def test_landings_about_breakdown_are_decided():
 
 def test_every_kind_of_chamber_and_breakdown_law():
     """Filling given by a pressure, a polytropic gas, thin outside air, a user's breakdown law: as single diagrams tell."""
-    strong = dj.Membrane(breakdown=dj.CustomBreakdown(lambda stretch: 1.2 * stretch**0.9))
+    strong = dj.Membrane(breakdown=dj.model.CustomBreakdown(lambda stretch: 1.2 * stretch**0.9))
     weak = dj.Membrane(breakdown=dj.ConstantBreakdown(4.0))
     loadings = [
         dj.Chamber(volume=1200.0, initial_pressure=1.85),
@@ -166,7 +167,7 @@ def test_every_kind_of_chamber_and_breakdown_law():
 
 def test_a_law_under_which_another_place_breaks_first_is_refused():
     """λ²/E_EB falls where the law rises faster than λ²: the rim, stretched less than the apex, breaks first."""
-    steep = dj.Membrane(breakdown=dj.CustomBreakdown(lambda stretch: 0.05 * stretch**2.5))
+    steep = dj.Membrane(breakdown=dj.model.CustomBreakdown(lambda stretch: 0.05 * stretch**2.5))
     with pytest.raises(ValueError, match="`breakdown` must be a law"):
         continue_scenes([chamber(800.0), chamber(800.0, 2.42, steep)])
     diagram = dj.voltage_volume(chamber(800.0, 2.42, steep))

@@ -10,8 +10,8 @@ from dielectric_jax.diagram.beyond import _field_of as scan_field
 from dielectric_jax.model.chart import cached_scan, scan
 from dielectric_jax.model.materials import largest_load
 
-mapped = jax.jit(dj.explicit_map)
-shot = jax.jit(lambda material, a, p, q: dj.shoot(material, a, p, q, steps=192.0))
+mapped = jax.jit(dj.model.explicit_map)
+shot = jax.jit(lambda material, a, p, q: dj.model.shoot(material, a, p, q, steps=192.0))
 
 
 def test_the_map_meets_every_reference_state(reference):
@@ -46,9 +46,9 @@ def test_the_map_of_a_user_s_material():
         lambda a, b: 0.45 * (a**2 + b**2 + (a * b) ** -2 - 3) + 0.05 * (a**-2 + b**-2 + (a * b) ** 2 - 3), 8.0
     )
     apex, q, rim = np.array([1.5, 3.0, 6.0]), np.array([0.0, 0.02, -0.01]), np.array([1.0, 1.0, 2.0])
-    p, v, slope = jax.jit(lambda *x: dj.explicit_map(material, *x))(apex, q, rim, 256.0)
+    p, v, slope = jax.jit(lambda *x: dj.model.explicit_map(material, *x))(apex, q, rim, 256.0)
     assert (np.asarray(slope) < 0).all()
-    lag, volume = jax.jit(lambda *x: dj.shoot(material, *x, steps=192.0))(apex, p, q)
+    lag, volume = jax.jit(lambda *x: dj.model.shoot(material, *x, steps=192.0))(apex, p, q)
     np.testing.assert_allclose(np.asarray(lag) + apex, rim, rtol=1e-10)
     np.testing.assert_allclose(volume, v, rtol=1e-9)
 
@@ -58,7 +58,7 @@ def test_the_map_is_differentiable():
     apex, q = 3.5, 0.01
 
     def pv(x):
-        return jnp.stack(dj.explicit_map(dj.Gent(), x[0], x[1], 1.0, 128.0)[:2])
+        return jnp.stack(dj.model.explicit_map(dj.Gent(), x[0], x[1], 1.0, 128.0)[:2])
 
     x = np.array([apex, q])
     p, _ = pv(x)
@@ -70,7 +70,9 @@ def test_the_map_is_differentiable():
         np.testing.assert_allclose(jacobian[:, k], rough, rtol=1e-7, atol=1e-9)
     # λ2(1) = 1 along the chart: G_a da + G_p dp + G_q dq = 0
     by = np.asarray(
-        jax.jacfwd(lambda y: jnp.stack(dj.shoot(dj.Gent(), y[0], y[1], y[2], steps=128.0)))(jnp.array([apex, p, q]))
+        jax.jacfwd(lambda y: jnp.stack(dj.model.shoot(dj.Gent(), y[0], y[1], y[2], steps=128.0)))(
+            jnp.array([apex, p, q])
+        )
     )
     g, w = by[0] + np.array([1.0, 0, 0]), by[1]
     slope = np.array([-g[0] / g[1], -g[2] / g[1]])
@@ -119,7 +121,7 @@ def noise_of(film, apex, fraction):
 def test_steps_of_the_map_beyond_its_limit_are_refused():
     """More steps than the integration allows would end it on the way."""
     with pytest.raises(ValueError, match=r"`steps` must be between 1 and 320, but is 512\.0"):
-        dj.explicit_map(dj.Gent(), 2.0, 0.0, 1.0, 512.0)
+        dj.model.explicit_map(dj.Gent(), 2.0, 0.0, 1.0, 512.0)
 
 
 def test_every_state_of_the_chart_is_inflated(sampled):

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 import dielectric_jax as dj
-from dielectric_jax import Code, Problem, Steps, trace
+from dielectric_jax import Code
 from dielectric_jax.diagram.tracing import run_trace
 from dielectric_jax.model.equations import SCALE
+from dielectric_jax.numerics import Problem, Steps, trace
 
 ONES = np.ones(2)
 USUAL = Steps()
@@ -300,7 +301,7 @@ def pressure_curve(steps, seed, heading):
     material = dj.Gent()
 
     def residual(u, args):
-        rim = dj.shoot(material, u[0], u[1], u[2], steps=44.0)
+        rim = dj.model.shoot(material, u[0], u[1], u[2], steps=44.0)
         return jnp.stack([rim.lag - (1.0 - u[0]), contour.residual(u[1], rim.volume, u[2])])
 
     def margins(u, args):

@@ -21,13 +21,13 @@ def surface(scene):
 def test_reference_numbers(scene):
     """V_C = 1600, from methods that share no code."""
     assert abs(float(dj.snap_voltage(scene)) / 0.0764953595449 - 1) < 1e-11
-    assert abs(float(dj.landing_point(scene).volume) / 19.9533292542 - 1) < 1e-10
-    broken = dj.breakdown_point(scene)
+    assert abs(float(dj.critical.landing_point(scene).volume) / 19.9533292542 - 1) < 1e-10
+    broken = dj.critical.breakdown_point(scene)
     assert abs(float(broken.voltage) / 0.100970094106 - 1) < 1e-11
     assert abs(float(broken.apex_stretch) / 8.10285526922 - 1) < 1e-11
     assert abs(float(broken.breakdown_ratio) - 1) < 1e-11
     assert abs(float(dj.area_strain(scene)) - 16.1218889) < 1e-7
-    back = dj.snap_back_point(scene.replace(chamber_volume=800.0))
+    back = dj.critical.snap_back_point(scene.replace(chamber_volume=800.0))
     assert abs(float(back.voltage) / 0.0890347141691 - 1) < 1e-10
     held = dj.Scene(scene.membrane, dj.ConstantPressure(1.82))
     assert abs(float(dj.snap_voltage(held)) / 0.114568360882 - 1) < 1e-10
@@ -73,7 +73,11 @@ def test_the_surface_gives_the_same(scene, surface, slope_by_differences):
 
 def test_breakdown_moves_with_its_law(scene, slope_by_differences):
     """At breakdown on the branch q = s² q_b(λa); held pressure: p(λa, q) = const. Differences of the strain."""
-    for function in (dj.area_strain, dj.breakdown_voltage, lambda s: dj.landing_point(s).breakdown_ratio):
+    for function in (
+        dj.area_strain,
+        dj.critical.breakdown_voltage,
+        lambda s: dj.critical.landing_point(s).breakdown_ratio,
+    ):
 
         def of(scale, function=function):
             return function(scene.replace(breakdown_field_scale=scale))
@@ -97,7 +101,7 @@ def test_in_batches_and_compiled(scene, surface):
 def test_breakdown_in_the_snap(scene, surface, slope_by_differences):
     """V_C = 467.84 breaks in the snap, 467.86 on the branch: the strain is then that of the fold."""
     broken = scene.replace(chamber_volume=467.84)
-    landing = dj.breakdown_point(broken, surface=surface)
+    landing = dj.critical.breakdown_point(broken, surface=surface)
     assert float(landing.breakdown_ratio) > 1
     assert float(landing.voltage) == pytest.approx(float(dj.snap_voltage(broken, surface=surface)), rel=1e-9)
     fold, start = dj.snap_point(broken, surface=surface), dj.equilibrium(scene.membrane, volume=2.42)
@@ -117,7 +121,7 @@ def test_what_does_not_exist_is_said(scene, surface):
     point = dj.snap_point(none, throw=False)
     assert np.isnan(point.voltage) and dj.Code(int(point.code)) is dj.Code.no_fold
     with pytest.raises(dj.SceneError, match="no_snap_back"):
-        dj.snap_back_voltage(scene)  # it stays in the snapped state
+        dj.critical.snap_back_voltage(scene)  # it stays in the snapped state
     other = dj.snap_point(scene.replace(prestretch=1.5), surface=surface, throw=False)
     assert dj.Code(int(other.code)) is dj.Code.other_membrane
     with pytest.raises(ValueError, match="initial_volume"):

@@ -43,7 +43,7 @@ def test_survival_is_active(scene, surface):
     assert abs(best.parameters["chamber_volume"] / 7699.2058 - 1) < 2e-9 and best.active == ("survival_margin",)
     assert abs(best.area_strain / 23.480988 - 1) < 2e-8
     at = own.replace(chamber_volume=best.parameters["chamber_volume"])
-    assert abs(dj.landing_point(at).breakdown_ratio - 1) < 1e-10  # by shooting
+    assert abs(dj.critical.landing_point(at).breakdown_ratio - 1) < 1e-10  # by shooting
     assert best.regime == dj.Regime.stays
 
 
@@ -51,7 +51,7 @@ def test_margins_and_ways_down(scene, surface):
     """Each wish holds with equality where it is what limits the design."""
     best = dj.maximise_area_strain(scene, CHAMBERS, survival_margin=0.2, surface=surface, check=False)
     at = scene.replace(**best.parameters)
-    assert best.active == ("survival_margin",) and abs(dj.landing_point(at).breakdown_ratio - 0.8) < 1e-9
+    assert best.active == ("survival_margin",) and abs(dj.critical.landing_point(at).breakdown_ratio - 0.8) < 1e-9
     # relaxing the margin by 1e-4 gains the multiplier times that
     more = dj.maximise_area_strain(scene, CHAMBERS, survival_margin=0.1999, surface=surface, check=False)
     gain = (more.area_strain - best.area_strain) / 1e-4
@@ -79,7 +79,7 @@ def test_worst_case(scene, surface):
     best = dj.maximise_area_strain(own, CHAMBERS, uncertain={"initial_volume": 0.02}, surface=surface, check=False)
     least = own.replace(initial_volume=2.35 * 0.98, **best.parameters)
     assert "survival_margin" in best.active
-    assert abs(dj.landing_point(least).breakdown_ratio - 1) < 1e-8
+    assert abs(dj.critical.landing_point(least).breakdown_ratio - 1) < 1e-8
     # one scenario in ten may fail: a larger chamber
     loose = dj.maximise_area_strain(
         own, CHAMBERS, uncertain={"initial_volume": 0.02}, quantile=0.1, surface=surface, check=False
@@ -89,7 +89,7 @@ def test_worst_case(scene, surface):
 
 def test_slopes(scene, surface):
     """Derivatives by the implicit function theorem, against central differences of the ramps."""
-    ramps = dj.chamber_ramps(surface, 1600.0 + np.array([-0.5, 0.0, 0.5]), 2.42)
+    ramps = dj.diagram.chamber_ramps(surface, 1600.0 + np.array([-0.5, 0.0, 0.5]), 2.42)
     found = measure(
         Kind(1, False), ("chamber_volume",), surface, scene, [[1600.0]], begin_of(Kind(1, False), ramps, np.array([1]))
     )
@@ -106,7 +106,9 @@ def test_an_objective_of_ones_own(scene, surface):
         lambda s: dj.area_strain(s, surface=surface),
         scene,
         {"chamber_volume": (6000.0, 15000.0)},
-        constraints={"landing": lambda s: 0.8 - dj.landing_point(s, surface=surface, throw=False).breakdown_ratio},
+        constraints={
+            "landing": lambda s: 0.8 - dj.critical.landing_point(s, surface=surface, throw=False).breakdown_ratio
+        },
     )
     assert found.active == ("landing",) and abs(found.value / best.area_strain - 1) < 1e-6
     with pytest.raises(ValueError, match="`objective` must be a number somewhere"):

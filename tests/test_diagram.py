@@ -441,7 +441,7 @@ def test_constant_pressure_starts_at_the_smallest_stable_volume(diagram):
         (lambda m: dj.voltage_volume(dj.Scene(m, dj.ConstantPressure(1.0)), points=64.0), "points"),
         (lambda m: dj.voltage_volume(dj.Scene(m, dj.ConstantPressure(1.0)), tolerance=float("nan")), "tolerance"),
         (lambda m: dj.pressure_volume(m, voltage=-0.1), "voltage"),
-        (lambda m: dj.pressure_volume(m, window=dj.Window(apex_stretch=(12.0, 13.0))), "stretch_window"),
+        (lambda m: dj.pressure_volume(m, window=dj.model.Window(apex_stretch=(12.0, 13.0))), "stretch_window"),
     ],
 )
 def test_bad_input_is_refused_by_name(membrane, build, name):
@@ -451,7 +451,7 @@ def test_bad_input_is_refused_by_name(membrane, build, name):
 
 def test_a_voltage_beyond_every_equilibrium_has_a_code():
     """λ0 = 1 at Φ = 0.6: q = 0.36 exceeds q_max below λa 1.6 and above; nothing is left but lock-up beyond the window."""
-    window = dj.Window(apex_stretch=(1.0, 5.0))
+    window = dj.model.Window(apex_stretch=(1.0, 5.0))
     with pytest.raises(dj.SceneError) as refused:
         dj.pressure_volume(dj.Membrane(), voltage=0.8, window=window)
     assert refused.value.code is dj.Code.no_equilibrium

@@ -73,9 +73,12 @@ def test_energies_of_membranes_are_taken():
     [
         (lambda: dj.MooneyRivlin(c1=22500.0, c2=0.0), "`c1` and `c2` must be in units .* divide by 45000"),
         (lambda: dj.Ogden(moduli=45e3, exponents=2.0), "`moduli` must be in units .* divide by 45000"),
-        (lambda: dj.CustomPermittivity(dj.Gent(), lambda a, b: 1 + 0.01 * a), "`function` must be symmetric, e"),
-        (lambda: dj.CustomPermittivity(dj.Gent(), lambda a, b: 4.2e-11 + 0 * a), "`function` must be the permittivity"),
-        (lambda: dj.CustomPermittivity(dj.Gent(), lambda a, b: np.exp(-a * b)), "jnp.where for if"),
+        (lambda: dj.model.CustomPermittivity(dj.Gent(), lambda a, b: 1 + 0.01 * a), "`function` must be symmetric, e"),
+        (
+            lambda: dj.model.CustomPermittivity(dj.Gent(), lambda a, b: 4.2e-11 + 0 * a),
+            "`function` must be the permittivity",
+        ),
+        (lambda: dj.model.CustomPermittivity(dj.Gent(), lambda a, b: np.exp(-a * b)), "jnp.where for if"),
     ],
 )
 def test_constants_in_si_and_permittivities_of_one_direction_are_refused(make, said):
@@ -86,7 +89,7 @@ def test_constants_in_si_and_permittivities_of_one_direction_are_refused(make, s
 def test_constants_of_a_function_are_not_differentiated():
     def tension(limit):
         material = dj.CustomMaterial(lambda a, b: -limit / 2 * jnp.log1p(-rise(a, b) / limit), largest_stretch=8.0)
-        return dj.stresses(material, 2.0, 2.0, 0.0)[0]
+        return dj.model.stresses(material, 2.0, 2.0, 0.0)[0]
 
     with pytest.raises(
         ValueError, match=r"^`function` must not hold numbers that JAX is tracing; .* AbstractMaterial\."
@@ -115,9 +118,9 @@ class Thick(Mine):
 
 def test_constants_of_a_user_s_material_are_parameters_of_a_scene():
     scene = dj.Scene(dj.Membrane(Mine()), dj.ConstantPressure(1.0))
-    assert dj.describe(scene.replace(limit=100))["limit"] == 100.0
+    assert dj.model.describe(scene.replace(limit=100))["limit"] == 100.0
     coated = dj.Scene(dj.Membrane(dj.Electrostrictive(Mine(), 0.1)), dj.ConstantPressure(1.0)).replace(limit=99)
-    assert dj.describe(coated)["limit"] == 99.0 and dj.describe(coated)["elastic"] == "Mine"
+    assert dj.model.describe(coated)["limit"] == 99.0 and dj.model.describe(coated)["elastic"] == "Mine"
     for wrong in ("limitt", "energy", "largest_stretch"):
         with pytest.raises(ValueError, match=rf"`{wrong}` must be one of .*, limit, but is not a parameter"):
             scene.replace(**{wrong: 1.0})
@@ -131,7 +134,7 @@ def test_constants_of_a_user_s_material_are_parameters_of_a_scene():
     def tension(limit):
         material = scene.replace(limit=limit).membrane.material
         assert all(leaf.shape == () for leaf in jax.tree.leaves(material))  # as an array, also from a plain number
-        return dj.stresses(material, 3.0, 3.0, 0.0)[0]
+        return dj.model.stresses(material, 3.0, 3.0, 0.0)[0]
 
     # s1 = (λ − λ⁻⁵)/(1 − I/J)
     slope = -(3 - 3.0**-5) * rise(3.0, 3.0) / 200.0**2 / (1 - rise(3.0, 3.0) / 200.0) ** 2

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 import dielectric_jax as dj
-from dielectric_jax import Outcome, Regime, chamber_curves, chamber_ramps, pressure_ramps
+from dielectric_jax import Regime
+from dielectric_jax.diagram import chamber_curves, chamber_ramps, pressure_ramps
 from dielectric_jax.diagram.regimes import regime_of_diagram
+from dielectric_jax.model import Outcome
 
 
 @pytest.fixture(scope="module")
@@ -140,13 +142,13 @@ def test_constant_pressure(surface):
 def test_a_start_just_below_the_peak_of_the_pressure_is_not_passed_over(surface):
     """The peak of 1.908684829414 lies at V = 2.9634 between two rows; beyond it the only state is at V = 224.6."""
     shares = np.array([-1e-3, -1e-4, -1e-5, -1e-6, -1e-8, -1e-10])
-    fillings = dj.filling_volumes(surface, 1.908684829414 * (1 + shares))
+    fillings = dj.diagram.filling_volumes(surface, 1.908684829414 * (1 + shares))
     ramps = pressure_ramps(surface, 1.908684829414 * (1 + shares))
     told = np.isfinite(fillings)
     assert told[:2].all() and (fillings[told] < 2.9634).all()
     assert (ramps.outcome[~told] == Outcome.unresolved).all()
     assert np.allclose(ramps.start.volume[told], fillings[told], rtol=1e-9)
-    assert abs(dj.filling_volumes(surface, 1.908684829414 * (1 + 1e-4)) - 224.6) < 0.1
+    assert abs(dj.diagram.filling_volumes(surface, 1.908684829414 * (1 + 1e-4)) - 224.6) < 0.1
 
 
 def test_curves_are_states(surface):
@@ -161,7 +163,7 @@ def test_curves_are_states(surface):
         assert np.allclose(constant, constant[0], rtol=1e-13)
         start = float(chamber_ramps(surface, chamber, filling).start.pressure)
         assert np.allclose(constant, (start + 50) * (filling + chamber), rtol=1e-13)
-        exact = dj.explicit_map(surface.membrane.material, curves.apex_stretch[seen], q, 1.0, 320.0)
+        exact = dj.model.explicit_map(surface.membrane.material, curves.apex_stretch[seen], q, 1.0, 320.0)
         small = curves.apex_stretch[seen] - 1 < 0.02  # rounding of λa at the flat end
         assert np.allclose(np.asarray(exact[0])[~small], p[~small], rtol=2e-9)
         assert np.allclose(np.asarray(exact[1])[~small], v[~small], rtol=2e-9)

@@ -70,7 +70,7 @@ def test_states_next_to_a_fold(membrane, gap):
 
 
 def test_the_window_bounds_the_search(membrane):
-    states = dj.equilibrium(membrane, pressure=1.82, all=True, window=dj.Window(apex_stretch=(1.0, 5.0)))
+    states = dj.equilibrium(membrane, pressure=1.82, all=True, window=dj.model.Window(apex_stretch=(1.0, 5.0)))
     assert [s.volume for s in states] == pytest.approx([2.01878174356, 5.0422739075], rel=1e-9)
 
 
@@ -94,7 +94,7 @@ def test_flat_films():
 @pytest.mark.parametrize("prestretch", [1.5, 2.7])
 def test_small_pressures_give_the_linear_membrane_or_say_that_it_is_nearly_flat(prestretch):
     # a drum of tension s per reference length: V = π λ0⁵ p/(8 s)
-    tension = float(dj.stresses(dj.Gent(), prestretch, prestretch, 0.0)[0])
+    tension = float(dj.model.stresses(dj.Gent(), prestretch, prestretch, 0.0)[0])
     codes = []
     for pressure in 10.0 ** -np.arange(2.0, 12.0):
         linear = math.pi * prestretch**5 * pressure / (8 * tension)
@@ -170,10 +170,10 @@ def test_bad_input_is_refused_by_name(membrane, given, name):
         (lambda: dj.Chamber(volume=10.0, initial_volume=1.0, polytropic_exponent=0.0), "polytropic_exponent"),
         (lambda: dj.ConstantPressure(-0.1), "pressure"),
         (lambda: dj.ConstantVoltage(-0.1), "voltage"),
-        (lambda: dj.Window(apex_stretch=(3.0, 2.0)), "stretch_window"),
-        (lambda: dj.Window(apex_stretch=2.0), "stretch_window"),
-        (lambda: dj.Window(load_fraction=(-1.0, 1.1)), "load_window"),
-        (lambda: dj.Window(load_fraction=(0.95, 1.0)), "load_window"),
+        (lambda: dj.model.Window(apex_stretch=(3.0, 2.0)), "stretch_window"),
+        (lambda: dj.model.Window(apex_stretch=2.0), "stretch_window"),
+        (lambda: dj.model.Window(load_fraction=(-1.0, 1.1)), "load_window"),
+        (lambda: dj.model.Window(load_fraction=(0.95, 1.0)), "load_window"),
         (lambda: dj.Scene(dj.Membrane(), 1.2), "loading"),
         (lambda: dj.Scene(1.2, dj.ConstantPressure(1.0)), "membrane"),
         (lambda: dj.Scene(dj.Membrane(), dj.ConstantPressure(1.0)).replace(colour=1.0), "colour"),

@@ -211,7 +211,7 @@ def test_the_surface_and_the_whole_diagram_say_the_same(paper):
         (landing,) = [e.state for e in paper.seen.events if e.event == "landing" and e.direction == "up"]
         shown.append((landing.apex_stretch, landing.volume, landing.breakdown_ratio))
         paper.controls["whole"].click()
-    assert isinstance(paper.seen, dj.Diagram)
+    assert isinstance(paper.seen, dj.diagram.Diagram)
     assert np.allclose(*shown, rtol=1e-8, atol=0)
 
 
@@ -224,7 +224,7 @@ def test_what_the_surface_does_not_decide_is_left_to_the_whole_diagram(paper):
 
 
 def test_units_are_those_of_the_scene():
-    membrane, units = dj.vhb_4910()
+    membrane, units = dj.model.vhb_4910()
     chamber = dj.Chamber(
         volume=units.to_si(1600.0, "volume"), initial_volume=units.to_si(2.42, "volume"), atmospheric_pressure=100e3
     )
@@ -251,7 +251,7 @@ def test_it_is_shown_by_its_widget(paper):
             "`initial_volume` must be given",
         ),
         (
-            {"scene": dj.Scene(dj.Membrane(), dj.ConstantPressure(1.0), dj.Window((1.0, 3.0)))},
+            {"scene": dj.Scene(dj.Membrane(), dj.ConstantPressure(1.0), dj.model.Window((1.0, 3.0)))},
             "`window` must be left out",
         ),
         ({"prestretches": 1.0}, "`prestretches` must be numbers, but is 1.0"),

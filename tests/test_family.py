@@ -12,7 +12,7 @@ from dielectric_jax.surface.build import relative_error
 
 @pytest.fixture(scope="module")
 def family():
-    return dj.SurfaceFamily.build(dj.Gent(), prestretch=(1.0, 3.0), tolerance=1e-7, cache=False)
+    return dj.surface.SurfaceFamily.build(dj.Gent(), prestretch=(1.0, 3.0), tolerance=1e-7, cache=False)
 
 
 def test_reference_states(family, reference):
@@ -137,49 +137,49 @@ def test_domain_and_shapes(family):
 def test_file(family, tmp_path):
     path = tmp_path / "family.npz"
     family.save(path)
-    again = dj.SurfaceFamily.load(path, dj.Gent())
+    again = dj.surface.SurfaceFamily.load(path, dj.Gent())
     assert again.prestretch == family.prestretch and again.tolerance == family.tolerance
     assert jax.tree.all(jax.tree.map(lambda a, b: bool(np.all(np.asarray(a) == np.asarray(b))), family, again))
     with pytest.raises(ValueError, match="`material` and `breakdown` must be those"):
-        dj.SurfaceFamily.load(path, dj.Gent(271.0))
+        dj.surface.SurfaceFamily.load(path, dj.Gent(271.0))
     with pytest.raises(ValueError, match="`material` and `breakdown` must be those"):
-        dj.SurfaceFamily.load(path, dj.Gent(), breakdown=dj.ConstantBreakdown(5.0))
+        dj.surface.SurfaceFamily.load(path, dj.Gent(), breakdown=dj.ConstantBreakdown(5.0))
     with pytest.raises(ValueError, match="must hold a surface of the format"):
         dj.Surface.load(path, dj.Membrane())
     with pytest.raises(ValueError, match="no file"):
-        dj.SurfaceFamily.load(tmp_path / "none.npz", dj.Gent())
+        dj.surface.SurfaceFamily.load(tmp_path / "none.npz", dj.Gent())
     whole = path.read_bytes()
     damaged = bytearray(whole)
     damaged[len(whole) // 2] ^= 16
     for content in (bytes(damaged), whole[: len(whole) // 2], b"nothing"):
         path.write_bytes(content)
         with pytest.raises(ValueError, match="damaged"):
-            dj.SurfaceFamily.load(path, dj.Gent())
+            dj.surface.SurfaceFamily.load(path, dj.Gent())
 
 
 def test_cache(monkeypatch, tmp_path):
     monkeypatch.setenv("DIELECTRIC_JAX_CACHE", str(tmp_path))
     options = {"prestretch": (1.0, 1.1), "tolerance": 1e-3}
-    first = dj.SurfaceFamily.build(dj.Gent(10.0), **options)
+    first = dj.surface.SurfaceFamily.build(dj.Gent(10.0), **options)
     (kept,) = tmp_path.rglob("*.npz")
     monkeypatch.setattr("dielectric_jax.surface.family.build_trajectory_elements", None)  # now read, or nothing
-    second = dj.SurfaceFamily.build(dj.Gent(10.0), **options)
+    second = dj.surface.SurfaceFamily.build(dj.Gent(10.0), **options)
     assert np.array_equal(first.coefficients, second.coefficients)
     kept.write_bytes(b"broken")
     with pytest.raises(TypeError):  # a damaged file is built again
-        dj.SurfaceFamily.build(dj.Gent(10.0), **options)
+        dj.surface.SurfaceFamily.build(dj.Gent(10.0), **options)
 
 
 def test_bad_input(family):
     for wrong in ((0.9, 2.0), (2.0, 1.0), (1.0, 1.0), 2.0, (1.0, float("nan")), (1.0, 2.0, 3.0)):
         with pytest.raises(ValueError, match="`prestretch` must be two rising numbers"):
-            dj.SurfaceFamily.build(dj.Gent(), prestretch=wrong)
+            dj.surface.SurfaceFamily.build(dj.Gent(), prestretch=wrong)
     with pytest.raises(ValueError, match="below the material's largest stretch"):
-        dj.SurfaceFamily.build(dj.Gent(), prestretch=(1.0, 12.0))
+        dj.surface.SurfaceFamily.build(dj.Gent(), prestretch=(1.0, 12.0))
     with pytest.raises(ValueError, match="`tolerance`"):
-        dj.SurfaceFamily.build(dj.Gent(), tolerance=1e-14)
+        dj.surface.SurfaceFamily.build(dj.Gent(), tolerance=1e-14)
     with pytest.raises(ValueError, match="`material` must be a material"):
-        dj.SurfaceFamily.build(dj.Membrane())
+        dj.surface.SurfaceFamily.build(dj.Membrane())
     for wrong in (0.99, 3.2):
         with pytest.raises(ValueError, match="`prestretch` must lie between 1 and 3"):
             family.surface(wrong)

@@ -7,6 +7,8 @@ import pathlib
 
 import pytest
 
+import dielectric_jax as dj
+
 PACKAGE = pathlib.Path(__file__).parent.parent / "dielectric_jax"
 FLOORS = {
     "numerics": 1,
@@ -88,6 +90,14 @@ def test_a_face_lists_what_it_gives(package):
     modules = {path.stem for path in modules_of(package)}
     assert not modules & set(face.__all__)  # a name that hides a module would be found by one way of importing only
     assert all(hasattr(face, name) for name in face.__all__)
+
+
+def test_few_names_stand_at_the_top():
+    """What a first script needs, and the packages."""
+    assert set(FLOORS) < set(dir(dj)) == set(dj.__all__)
+    assert len(dir(dj)) <= 60
+    with pytest.raises(AttributeError, match="no_such_name"):
+        dj.no_such_name  # noqa: B018
 
 
 def test_the_reader_of_imports_sees_every_form():

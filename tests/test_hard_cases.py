@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import dielectric_jax as dj
-from dielectric_jax import Code, Outcome, SceneError
+from dielectric_jax import Code, SceneError
+from dielectric_jax.model import Outcome
 
 sys.path.insert(0, str(pathlib.Path(__file__).parent.parent / "benchmarks"))
 import contour_truth
@@ -74,7 +75,7 @@ def test_a_scan_with_nodes_that_no_grid_resolves(limit):
 def test_folds_about_the_middle_of_two_rows():
     """Just below the cusp V_C = 484.04966 two folds lie between rows: told, or left to the continuation, never denied."""
     volumes = hard_cases.CUSPS[0] - np.array([1e-1, 1e-2, 3e-3, 2e-3, 1e-3])
-    ramps = dj.chamber_ramps(hard_cases.surface_of(), volumes, hard_cases.FILLING)
+    ramps = dj.diagram.chamber_ramps(hard_cases.surface_of(), volumes, hard_cases.FILLING)
     decided = ramps.outcome != Outcome.unresolved
     assert (ramps.snaps[decided] == 1).all() and decided.any()
 

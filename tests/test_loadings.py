@@ -27,7 +27,7 @@ def diagram_of(held, charge=False, prestretch=1.0):
 @jax.jit
 def mapped(apex, q):
     """p, V, C of the paper's membrane by the explicit map, which shoots in another variable."""
-    p, v, _, (_, charge, _) = dj.explicit_map(dj.Gent(), apex, q, 1.0, 160.0, outputs=True)
+    p, v, _, (_, charge, _) = dj.model.explicit_map(dj.Gent(), apex, q, 1.0, 160.0, outputs=True)
     return jnp.stack([p, v, charge])
 
 
@@ -144,7 +144,7 @@ def test_energy_at_a_held_volume_falls_by_the_charge():
     near = slice(first, first + 9)
     membrane = diagram.scene.membrane
     energies = [
-        dj.energy(membrane, dj.profile(membrane, dj.equilibrium(membrane, voltage=v, apex_stretch=a)))
+        dj.model.energy(membrane, dj.profile(membrane, dj.equilibrium(membrane, voltage=v, apex_stretch=a)))
         for v, a in zip(branch.voltage[near], branch.apex_stretch[near], strict=True)
     ]
     fit = np.polynomial.Polynomial.fit(branch.voltage[near], energies, 8)
@@ -198,6 +198,6 @@ def test_parameters_are_replaced_inside_charge_control():
     scene = dj.Scene(dj.Membrane(), dj.ChargeControl(dj.Chamber(volume=1600.0, initial_volume=2.42)))
     other = scene.replace(chamber_volume=800.0, initial_pressure=1.5)
     assert isinstance(other.loading, dj.ChargeControl)
-    assert dj.describe(other)["chamber_volume"] == 800.0 and dj.describe(other)["control"] == "charge"
-    assert "initial_volume" not in dj.describe(other)
-    assert dj.describe(dj.Scene(dj.Membrane(), dj.PrescribedVolume(2.0)).replace(volume=3.0))["volume"] == 3.0
+    assert dj.model.describe(other)["chamber_volume"] == 800.0 and dj.model.describe(other)["control"] == "charge"
+    assert "initial_volume" not in dj.model.describe(other)
+    assert dj.model.describe(dj.Scene(dj.Membrane(), dj.PrescribedVolume(2.0)).replace(volume=3.0))["volume"] == 3.0

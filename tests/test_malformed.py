@@ -62,7 +62,7 @@ def stopped(monkeypatch, tmp_path):
         (paper, "Paper"),
         (dj, "calibrate"),
         (dj.Surface, "build"),
-        (dj.SurfaceFamily, "build"),
+        (dj.surface.SurfaceFamily, "build"),
         (sweeps.ZarrStore, "create"),
     ):
         monkeypatch.setattr(module, name, reach, raising=name != "calibrate")

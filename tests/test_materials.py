@@ -34,7 +34,7 @@ CUSTOM = {
 CHAIN = dj.Scene(dj.Membrane(dj.ArrudaBoyce()), dj.ConstantPressure(1.0))
 
 energies = jax.jit(lambda material, l1, l2: material.energy(l1, l2))
-four = jax.jit(dj.stresses)
+four = jax.jit(dj.model.stresses)
 
 materials = st.one_of(
     st.floats(math.log(50), math.log(1000)).map(lambda x: dj.Gent(stretch_limit=math.exp(x))),
@@ -164,7 +164,7 @@ def test_balloon_maximum():
     """A thin sphere of radius R0 carries p R0/(μH) = 2 s1/λ² = 2 (1/λ − 1/λ⁷ − q λ)."""
 
     def pressure(lam, q):
-        return 2 * dj.stresses(dj.NeoHookean(), lam, lam, q)[0] / lam**2
+        return 2 * dj.model.stresses(dj.NeoHookean(), lam, lam, q)[0] / lam**2
 
     stretch = 7 ** (1 / 6)
     pressure_and_slope = jax.jit(jax.value_and_grad(pressure))
@@ -248,14 +248,14 @@ def test_beyond_the_limit_everything_is_finite_and_flagged(material):
 
     def all_of(l1, l2):
         value, slope = jax.value_and_grad(material.energy, argnums=(0, 1))(l1, l2)
-        return value, *slope, *dj.stresses(material, l1, l2, 0.01), material.admissible(l1, l2)
+        return value, *slope, *dj.model.stresses(material, l1, l2, 0.01), material.admissible(l1, l2)
 
     program = jax.jit(jax.vmap(all_of))
     *numbers, admissible = program(edge * jnp.array([0.9, 0.99, 1.01, 1.5, 10.0]), edge * jnp.ones(5))
     assert admissible.tolist() == [True, True, False, False, False]
     assert bool(jnp.isfinite(jnp.stack(numbers)).all())
     assert bool((jnp.diff(numbers[0]) > 0).all())
-    by_limit = jax.jit(jax.grad(lambda m, lam: dj.stresses(m, lam, lam, 0.0)[0]))(material, 1.5 * edge)
+    by_limit = jax.jit(jax.grad(lambda m, lam: dj.model.stresses(m, lam, lam, 0.0)[0]))(material, 1.5 * edge)
     assert all(bool(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(by_limit))
 
 
@@ -305,7 +305,7 @@ def test_a_breakdown_law_owns_its_unit_and_scale():
 
 
 def test_a_user_s_breakdown_law():
-    law = dj.CustomBreakdown(lambda lam: 1 + lam**2, scale=2.0)
+    law = dj.model.CustomBreakdown(lambda lam: 1 + lam**2, scale=2.0)
     np.testing.assert_allclose(law.field(jnp.array([1.0, 3.0])), [4.0, 20.0], rtol=1e-15)
     state = dj.equilibrium(dj.Membrane(prestretch=2.0, breakdown=law), voltage=0.1, volume=0.0)
     assert state.breakdown_ratio == pytest.approx(0.1 * 4 / 10.0, rel=1e-14)
@@ -330,7 +330,7 @@ def test_a_user_s_breakdown_law():
         (lambda: dj.VHBBreakdown(shear_modulus=0.0), "shear_modulus"),
         (lambda: dj.ConstantBreakdown(0.0), "breakdown"),
         (lambda: dj.ConstantBreakdown(1.0, scale=-1.0), "breakdown_field_scale"),
-        (lambda: dj.CustomBreakdown(lambda lam: lam, scale=float("nan")), "breakdown_field_scale"),
+        (lambda: dj.model.CustomBreakdown(lambda lam: lam, scale=float("nan")), "breakdown_field_scale"),
     ],
 )
 def test_bad_constants_are_refused_by_name(build, name):

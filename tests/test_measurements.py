@@ -89,7 +89,7 @@ ROUNDED = {"thousands": 1e-3, "thousands, German": 1e-3, "thousands by blanks": 
 def test_the_same_curve_in_every_format(tmp_path, name):
     file, text = tmp_path / "curve.csv", FILES[name]
     file.write_bytes(text if isinstance(text, bytes) else text.encode())
-    volume, pressure, in_si = found = dj.read_measurement(file)
+    volume, pressure, in_si = found = dj.design.read_measurement(file)
     assert in_si
     np.testing.assert_allclose(volume, VOLUME * 1e-6, rtol=ROUNDED.get(name, 1e-8))
     np.testing.assert_allclose(pressure, PRESSURE * 1e3, rtol=ROUNDED.get(name, 1e-8))
@@ -143,7 +143,7 @@ def test_what_cannot_be_read_is_refused_with_its_line(tmp_path, text, message):
     file = tmp_path / "curve.csv"
     file.write_bytes(text if isinstance(text, bytes) else text.encode())
     with pytest.raises(ValueError, match=message) as caught:
-        dj.read_measurement(file)
+        dj.design.read_measurement(file)
     assert str(caught.value).startswith("`data` must") and str(caught.value).endswith(".")
 
 
@@ -151,22 +151,22 @@ def test_numbers_without_units_are_dimensionless(tmp_path):
     file = tmp_path / "curve.csv"
     for head in ("pressure,volume", "Pressure p A / (μH),Volume V / A³", "pressure [-],volume [-]"):
         file.write_text(f"{head}\n" + rows("{p},{v}"), encoding="utf-8")
-        volume, pressure, in_si = dj.read_measurement(file)
+        volume, pressure, in_si = dj.design.read_measurement(file)
         assert not in_si and (volume == VOLUME).all() and (pressure == PRESSURE).all()
     with pytest.raises(ValueError, match="readable CSV file"):
-        dj.read_measurement(tmp_path / "none.csv")
+        dj.design.read_measurement(tmp_path / "none.csv")
 
 
 def test_columns_and_units_may_be_given(tmp_path):
     file = tmp_path / "curve.txt"
     file.write_text(rows("{i} {p} {v}"))
-    volume, pressure, in_si = dj.read_measurement(file, columns=(3, 2), column_units=("ml", "kPa"))
+    volume, pressure, in_si = dj.design.read_measurement(file, columns=(3, 2), column_units=("ml", "kPa"))
     assert in_si
     np.testing.assert_allclose(volume, VOLUME * 1e-6)
     np.testing.assert_allclose(pressure, PRESSURE * 1e3)
-    assert not dj.read_measurement(file, columns=("3", "2")).in_si
+    assert not dj.design.read_measurement(file, columns=("3", "2")).in_si
     file.write_text("pressure 1 [kPa],pressure 2 [kPa],volume [ml]\n" + rows("7,{p},{v}"))
-    found = dj.read_measurement(file, columns=("volume [ml]", "pressure 2 [kPa]"))
+    found = dj.design.read_measurement(file, columns=("volume [ml]", "pressure 2 [kPa]"))
     np.testing.assert_allclose(found.pressure, PRESSURE * 1e3)
     for columns, units, message in (
         ((1, 4), None, "`columns` must be places from 1 to 3"),
@@ -175,7 +175,7 @@ def test_columns_and_units_may_be_given(tmp_path):
         ((3,), None, "`columns` must be two"),
     ):
         with pytest.raises(ValueError, match=re.escape(message)):
-            dj.read_measurement(file, columns=columns, column_units=units)
+            dj.design.read_measurement(file, columns=columns, column_units=units)
 
 
 def test_absolute_pressures_are_made_gauge(tmp_path):
@@ -184,7 +184,7 @@ def test_absolute_pressures_are_made_gauge(tmp_path):
         "volume [ml],absolute pressure [kPa]\n"
         + "".join(f"{v},{p + 101.325}\n" for v, p in zip(VOLUME, PRESSURE, strict=True))
     )
-    found = dj.read_measurement(file, atmospheric_pressure=101325.0)
+    found = dj.design.read_measurement(file, atmospheric_pressure=101325.0)
     np.testing.assert_allclose(found.pressure, PRESSURE * 1e3, atol=1e-6)
 
 
@@ -193,16 +193,16 @@ def test_loading_and_unloading_are_told_apart(tmp_path):
     back = "".join(f"{v!r},{0.8 * p!r}\n" for v, p in zip(VOLUME.tolist()[::-1], PRESSURE.tolist()[::-1], strict=True))
     file.write_text("volume [ml],pressure [kPa]\n" + rows() + back)
     for branch, pressure in ((None, PRESSURE), ("loading", PRESSURE), ("unloading", 0.8 * PRESSURE[::-1])):
-        found = dj.read_measurement(file, branch=branch)
+        found = dj.design.read_measurement(file, branch=branch)
         np.testing.assert_allclose(found.pressure, pressure * 1e3)
         assert "turns at line 27" in found.notices[0]
-    assert len(dj.read_measurement(file, branch="all").volume) == 50
+    assert len(dj.design.read_measurement(file, branch="all").volume) == 50
     with pytest.raises(ValueError, match="`branch` must be one of loading, unloading, all"):
-        dj.read_measurement(file, branch="up")
+        dj.design.read_measurement(file, branch="up")
     file.write_text("volume [ml],pressure [kPa]\n" + back)
-    assert not dj.read_measurement(file).notices
+    assert not dj.design.read_measurement(file).notices
     with pytest.raises(ValueError, match="the volume never rises"):
-        dj.read_measurement(file, branch="loading")
+        dj.design.read_measurement(file, branch="loading")
 
 
 def test_turns_are_no_noise():

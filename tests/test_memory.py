@@ -53,7 +53,7 @@ def batches(share, count):
 def surfaces(share, count):
     sheet = dj.Surface.build(film(share), tolerance=1e-5, cache=False)
     dj.glance(scene(share), sheet)
-    dj.chamber_ramps(sheet, np.linspace(1000.0, 2000.0, count), 2.4)
+    dj.diagram.chamber_ramps(sheet, np.linspace(1000.0, 2000.0, count), 2.4)
     sheet(np.linspace(2.0, 2.5, count), 0.001)
     sheet.error_bound(np.linspace(2.0, 2.5, count), 0.001)
 
@@ -61,14 +61,14 @@ def surfaces(share, count):
 def points(share, _):
     jax.value_and_grad(lambda v: dj.snap_voltage(scene(share).replace(chamber_volume=v)))(1600.0 + 50 * share)
     dj.area_strain(scene(share))
-    dj.pressure_peak(film(share), 0.01)
+    dj.critical.pressure_peak(film(share), 0.01)
 
 
 def shots(share, count):
     stretch = np.linspace(1.5, 2.5, count)
-    dj.stresses(film(share).material, stretch, stretch, 0.0)
-    dj.shoot(film(share).material, 2.0, 1.8 + 0.01 * share, 0.0)
-    dj.explicit_map(film(share).material, 2.0, 0.001 * share, 1.2)
+    dj.model.stresses(film(share).material, stretch, stretch, 0.0)
+    dj.model.shoot(film(share).material, 2.0, 1.8 + 0.01 * share, 0.0)
+    dj.model.explicit_map(film(share).material, 2.0, 0.001 * share, 1.2)
     film(share).check_breaks_at_apex()
 
 

@@ -30,7 +30,7 @@ def balloon(membrane):
 
 def test_a_cross_section(balloon):
     figure, ax = plt.subplots()
-    assert dj.plot_cross_section(balloon, ax=ax, units=dj.Units()) is ax
+    assert dj.plot.plot_cross_section(balloon, ax=ax, units=dj.Units()) is ax
     (lines,) = (c for c in ax.collections if isinstance(c, LineCollection))
     points = np.concatenate(lines.get_segments())
     millimetre = 22.5
@@ -42,19 +42,19 @@ def test_a_cross_section(balloon):
     assert [ax.get_xlabel(), ax.get_ylabel()] == ["Radius r / mm", "Height / mm"]
     assert f"{millimetre * balloon.z[-1]:.3g} mm" in [t.get_text() for t in ax.texts]
     assert figure.axes[1].get_ylabel() == "Breakdown ratio E/E_EB"
-    alone = dj.plot_cross_section(balloon, colour_by=None, reference=False, dimensions=False)
+    alone = dj.plot.plot_cross_section(balloon, colour_by=None, reference=False, dimensions=False)
     assert len(alone.lines) == 1 and not alone.collections
     with pytest.raises(ValueError, match=r"`quantity` must be one of radius, r, .* but is 'colour'"):
-        dj.plot_cross_section(balloon, colour_by="colour")
+        dj.plot.plot_cross_section(balloon, colour_by="colour")
 
 
 def test_the_latitude_of_breakdown(balloon):
-    assert dj.breakdown_latitudes(balloon) == []
+    assert dj.plot.breakdown_latitudes(balloon) == []
     ratio = 1.5 - balloon.radius**2  # is one at R = √½
     broken = dataclasses.replace(balloon, breakdown_ratio=ratio)
-    (latitude,) = dj.breakdown_latitudes(broken)
+    (latitude,) = dj.plot.breakdown_latitudes(broken)
     assert latitude == pytest.approx(0.5**0.5, abs=1e-4)
-    ax = dj.plot_cross_section(broken, reference=False)
+    ax = dj.plot.plot_cross_section(broken, reference=False)
     dashed = [line for line in ax.lines if line.get_linestyle() == "--"]
     height = balloon.z[-1] - np.interp(latitude, balloon.radius, balloon.z)
     np.testing.assert_allclose(dashed[0].get_ydata(), height, rtol=1e-12)
@@ -62,22 +62,22 @@ def test_the_latitude_of_breakdown(balloon):
 
 def test_distributions(balloon):
     _, ax = plt.subplots()
-    assert dj.plot_distribution(balloon, ax=ax) is ax
+    assert dj.plot.plot_distribution(balloon, ax=ax) is ax
     one, two = ax.lines
     np.testing.assert_array_equal(one.get_ydata(), balloon.stretch_1)
     np.testing.assert_array_equal(two.get_ydata(), balloon.stretch_2)
     assert one.get_linestyle() != two.get_linestyle() and ax.get_ylabel() == "Stretch λ"
-    ax = dj.plot_distribution([balloon, balloon], "stress_1", units=dj.Units(), labels=["a", "b"])
+    ax = dj.plot.plot_distribution([balloon, balloon], "stress_1", units=dj.Units(), labels=["a", "b"])
     np.testing.assert_allclose(ax.lines[0].get_ydata(), 45 * balloon.stress_1, rtol=1e-12)
     assert ax.get_ylabel() == "Meridional stress σ₁ / kPa"
     assert [t.get_text() for t in ax.get_legend().get_texts()] == ["a", "b"]
     with pytest.raises(ValueError, match="`labels` must be one for each of 1 profiles, but are 2"):
-        dj.plot_distribution(balloon, labels=["a", "b"])
+        dj.plot.plot_distribution(balloon, labels=["a", "b"])
 
 
 def test_a_material_s_page():
     """Neo-Hookean: λ − λ⁻², λ − λ⁻³, λ − λ⁻⁵ by hand; the balloon's largest pressure; the film's pull-in."""
-    figure = dj.plot_material(dj.NeoHookean(), units=dj.Units(), largest_stretch=6.0)
+    figure = dj.plot.plot_material(dj.NeoHookean(), units=dj.Units(), largest_stretch=6.0)
     tension, balloon, film, *_ = figure.axes
     for line, power in zip(tension.lines, (-2, -3, -5), strict=True):
         s = np.asarray(line.get_xdata())
@@ -88,14 +88,14 @@ def test_a_material_s_page():
     s = np.asarray(film.lines[1].get_xdata())
     at = np.searchsorted(s, 2.0)
     assert film.lines[1].get_ydata()[at] == pytest.approx(30.6 * s[at] ** 1.13 / s[at] ** 2, rel=1e-12)
-    locked = dj.tension_curves(dj.Gent(), [11.0, 20.0])["equal-biaxial"]
+    locked = dj.plot.tension_curves(dj.Gent(), [11.0, 20.0])["equal-biaxial"]
     assert np.isfinite(locked[0]) and np.isnan(locked[1])
 
 
 def test_the_path_of_a_ramp(chamber):
     """V_C = 800: up in two legs with the jump left out, down in two; every state lies on the line of the air."""
     diagram = chamber(800.0)
-    up, down = dj.ramp_path(diagram), dj.ramp_path(diagram, "down")
+    up, down = dj.plot.ramp_path(diagram), dj.plot.ramp_path(diagram, "down")
     for path, start, end in ((up, 0.0, 0.115172761046), (down, None, 0.0)):
         q = path["voltage_squared"]
         assert set(path["leg"]) == {0, 1} and np.all(np.diff(path["leg"]) >= 0)
@@ -114,19 +114,19 @@ def test_the_path_of_a_ramp(chamber):
 def test_a_loop_and_a_film(chamber, tmp_path):
     diagram = chamber(800.0)
     _, ax = plt.subplots()
-    assert dj.plot_ramp(diagram, ax=ax, units=dj.Units()) is ax
+    assert dj.plot.plot_ramp(diagram, ax=ax, units=dj.Units()) is ax
     assert ax.get_ylabel() == "Voltage Φ / kV"
     assert max(max(line.get_ydata()) for line in ax.lines) == pytest.approx(0.115172761046 * 32.88422182218, rel=1e-8)
-    film = dj.animate_ramp(diagram, tmp_path / "ramp.gif", frames=3)
+    film = dj.plot.animate_ramp(diagram, tmp_path / "ramp.gif", frames=3)
     with Image.open(film) as picture:
         assert 3 <= picture.n_frames <= 5
     for path, message in [("ramp.avi", "must end in .gif or .mp4"), ("ramp.mp4", "where ffmpeg is not installed")]:
         if path == "ramp.mp4" and animation.writers.is_available("ffmpeg"):
             continue
         with pytest.raises(ValueError, match=message):
-            dj.animate_ramp(diagram, tmp_path / path)
+            dj.plot.animate_ramp(diagram, tmp_path / path)
     with pytest.raises(ValueError, match="`frames` must be at least 2"):
-        dj.animate_ramp(diagram, tmp_path / "ramp.gif", frames=1)
+        dj.plot.animate_ramp(diagram, tmp_path / "ramp.gif", frames=1)
 
 
 def test_tables_in_notebooks(chamber):

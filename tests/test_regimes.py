@@ -19,7 +19,7 @@ def scene():
 
 @pytest.fixture(scope="module")
 def edges(scene, surface):
-    return dj.regime_edges(scene, {"chamber_volume": (400.0, 2000.0)}, surface=surface)
+    return dj.design.regime_edges(scene, {"chamber_volume": (400.0, 2000.0)}, surface=surface)
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +46,7 @@ def test_known_edges(edges):
 
 def test_known_filling(scene, surface):
     """At V_C = 25000 the membrane survives its snap only when filled beyond V_0 = 2.361001148."""
-    (edge,) = dj.regime_edges(
+    (edge,) = dj.design.regime_edges(
         scene.replace(chamber_volume=25000.0), {"initial_volume": (2.3, 2.5)}, points=40, surface=surface
     )
     assert abs(edge.value / 2.361001148 - 1) < 2e-10 and edge.above == Regime.stays
@@ -55,12 +55,12 @@ def test_known_filling(scene, surface):
 def test_edges_by_shooting(scene, edges):
     """E/E_EB of the landing is 1 at its edge, by shooting, which knows no surface."""
     at = scene.replace(chamber_volume=edges[0].value)
-    assert abs(dj.landing_point(at).breakdown_ratio - 1) < 1e-10
+    assert abs(dj.critical.landing_point(at).breakdown_ratio - 1) < 1e-10
 
 
 def test_landings_leave_the_scanned_window(scene, surface):
     """The boundary of no_landing: there, by continuation, the landing's load is 0.9 of the largest at its stretch."""
-    (edge,) = dj.regime_edges(scene, {"chamber_volume": (120.0, 200.0)}, points=20, surface=surface)
+    (edge,) = dj.design.regime_edges(scene, {"chamber_volume": (120.0, 200.0)}, points=20, surface=surface)
     assert (edge.below, edge.above) == (Regime.no_landing, Regime.breaks_in_snap)
     assert edge.kind == "landing leaves the window" and edge.error < 1e-9
     # a ten-millionth inside, where the landing still counts
@@ -134,9 +134,9 @@ def test_refusals(scene):
         with pytest.raises(ValueError, match="`over` must name two parameters"):
             dj.regime_map(scene, over)
     with pytest.raises(ValueError, match="`chamber_volume` must range over two finite numbers"):
-        dj.regime_edges(scene, {"chamber_volume": (2.0, 1.0)})
+        dj.design.regime_edges(scene, {"chamber_volume": (2.0, 1.0)})
     with pytest.raises(ValueError, match="`colour` must be one of chamber_volume"):
-        dj.regime_edges(scene, {"colour": (1.0, 2.0)})
+        dj.design.regime_edges(scene, {"colour": (1.0, 2.0)})
     with pytest.raises(ValueError, match="`points`"):
         dj.regime_map(scene, {"chamber_volume": (1.0, 2.0), "initial_volume": (2.0, 3.0)}, points=2)
     with pytest.raises(ValueError, match="`loading` must be a Chamber"):

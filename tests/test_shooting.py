@@ -27,7 +27,7 @@ POINTS = np.array(
 
 def both(x, steps=192.0):
     """(λ2(1) − λa, V) at x = (λa, p, q, J)."""
-    return jnp.stack(dj.shoot(dj.Gent(stretch_limit=x[3]), x[0], x[1], x[2], steps=steps))
+    return jnp.stack(dj.model.shoot(dj.Gent(stretch_limit=x[3]), x[0], x[1], x[2], steps=steps))
 
 
 value = jax.jit(jax.vmap(both, in_axes=(0, None)))
@@ -76,9 +76,9 @@ def test_only_the_asked_derivatives_are_needed():
     """grad by the pressure alone is the scaling rule; by the material alone a module of gradients."""
     a, p, q, j = POINTS[4]
     exact = np.asarray(jacobian(POINTS[4]))
-    by_pressure = jax.jit(jax.grad(lambda p: dj.shoot(dj.Gent(stretch_limit=j), a, p, q, steps=192.0).volume))(p)
+    by_pressure = jax.jit(jax.grad(lambda p: dj.model.shoot(dj.Gent(stretch_limit=j), a, p, q, steps=192.0).volume))(p)
     assert float(by_pressure) == pytest.approx(exact[1, 1], rel=1e-10)
-    by_material = jax.jit(jax.grad(lambda m: dj.shoot(m, a, p, q, steps=192.0).lag))(dj.Gent(stretch_limit=j))
+    by_material = jax.jit(jax.grad(lambda m: dj.model.shoot(m, a, p, q, steps=192.0).lag))(dj.Gent(stretch_limit=j))
     assert float(by_material.stretch_limit) == pytest.approx(exact[0, 3], rel=1e-10)
 
 
@@ -87,7 +87,7 @@ def test_second_derivatives():
     x = POINTS[2]
 
     def volume(y):
-        return dj.shoot(dj.Gent(), y[0], x[1], y[1], steps=192.0).volume
+        return dj.model.shoot(dj.Gent(), y[0], x[1], y[1], steps=192.0).volume
 
     y = np.array([x[0], x[2]])
     hessian = np.asarray(jax.jit(jax.hessian(volume))(y))

@@ -11,7 +11,7 @@ EXAMPLE = pathlib.Path(__file__).parent.parent / "docs" / "example_sweep.toml"
 
 
 def test_the_example_means_what_it_says():
-    scene, axes, options = dj.read_specification(EXAMPLE)
+    scene, axes, options = dj.sweeps.read_specification(EXAMPLE)
     assert options == {"engine": "surface", "resolve": False, "curves": False}
     assert [axis.dimension for axis in axes] == ["prestretch", "filling"]
     assert axes[0].columns["prestretch"].tolist() == [1.0, 1.25, 1.5]
@@ -26,11 +26,11 @@ def test_a_described_scene_comes_back():
         dj.Membrane(dj.ArrudaBoyce(60.0), 1.5, dj.ConstantBreakdown(3.0)),
         dj.Chamber(volume=900.0, initial_pressure=1.2, atmospheric_pressure=20.0, polytropic_exponent=1.4),
     )
-    assert dj.describe(dj.scene_of(dj.describe(scene))) == dj.describe(scene)
+    assert dj.model.describe(dj.sweeps.scene_of(dj.model.describe(scene))) == dj.model.describe(scene)
     ogden = dj.Scene(dj.Membrane(dj.Ogden(moduli=(1.0, 0.1), exponents=(2.0, 4.0))), dj.ConstantPressure(1.0))
-    assert dj.describe(dj.scene_of(dj.describe(ogden))) == dj.describe(ogden)
+    assert dj.model.describe(dj.sweeps.scene_of(dj.model.describe(ogden))) == dj.model.describe(ogden)
     held = dj.Scene(dj.Membrane(dj.NeoHookean()), dj.ConstantPressure(1.5))
-    assert dj.describe(dj.scene_of(dj.describe(held))) == dj.describe(held)
+    assert dj.model.describe(dj.sweeps.scene_of(dj.model.describe(held))) == dj.model.describe(held)
 
 
 def test_every_kind_of_axis(tmp_path):
@@ -53,12 +53,12 @@ def test_every_kind_of_axis(tmp_path):
         file = "scenes.csv"
         """
     )
-    _, axes, options = dj.read_specification(spec)
+    _, axes, options = dj.sweeps.read_specification(spec)
     assert [(a.dimension, a.size) for a in axes] == [("prestretch", 2), ("case", 2), ("draw", 3), ("scene", 2)]
     assert options == {"tolerance": 1e-6}
-    data = dj.sweep(dj.scene_of({"pressure": 1.0}), prestretch=[1.0], pressure=[0.0], progress=False)
+    data = dj.sweep(dj.sweeps.scene_of({"pressure": 1.0}), prestretch=[1.0], pressure=[0.0], progress=False)
     # a flat film that is not stretched carries no tension: no surface holds it
-    assert data.outcome.item() == dj.Answer.unresolved
+    assert data.outcome.item() == dj.sweeps.Answer.unresolved
 
 
 @pytest.mark.parametrize(
@@ -116,7 +116,7 @@ def test_what_is_wrong_is_named(tmp_path, text, said):
     spec = tmp_path / "spec.toml"
     spec.write_text(text)
     with pytest.raises(ValueError) as error:
-        dj.read_specification(spec)
+        dj.sweeps.read_specification(spec)
     assert said in str(error.value)
 
 
@@ -126,9 +126,9 @@ def test_constants_in_si_vary(tmp_path):
     text = "[scene]\nchamber_volume = 1600\ninitial_volume = 2.42\n[product]\nshear_modulus = [40e3, 45e3]\n"
     spec.write_text(text)
     with pytest.raises(ValueError, match=r"`shear_modulus` must have a \[units\] table"):
-        dj.read_specification(spec)
+        dj.sweeps.read_specification(spec)
     spec.write_text(text + "[units]\nshear_modulus = 45e3\nthickness = 1e-3\n")
-    scene, axes, options = dj.read_specification(spec)
+    scene, axes, options = dj.sweeps.read_specification(spec)
     data = dj.sweep(scene, *axes, **options, progress=False)
     assert data.shear_modulus.attrs["units"] == "Pa"
     softer = dj.Scene(dj.Membrane(), dj.Chamber(volume=1600.0, initial_volume=2.42, atmospheric_pressure=50 * 45 / 40))
@@ -161,7 +161,7 @@ AIR = "initial_volume = 2.42\n"
 def test_numbers_in_si_are_refused_not_misread(tmp_path, text, said):
     (tmp_path / "s.toml").write_text(text)
     with pytest.raises(ValueError, match=said):
-        dj.read_specification(tmp_path / "s.toml")
+        dj.sweeps.read_specification(tmp_path / "s.toml")
 
 
 @pytest.mark.parametrize(
@@ -174,7 +174,7 @@ def test_numbers_in_si_are_refused_not_misread(tmp_path, text, said):
 )
 def test_dimensionless_numbers_are_read(tmp_path, text):
     (tmp_path / "s.toml").write_text(text)
-    assert isinstance(dj.read_specification(tmp_path / "s.toml")[0], dj.Scene)
+    assert isinstance(dj.sweeps.read_specification(tmp_path / "s.toml")[0], dj.Scene)
 
 
 def test_ranges_of_designs_in_si_are_refused_too(tmp_path):

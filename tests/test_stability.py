@@ -29,7 +29,7 @@ HELD = {
 def state_of(ref):
     """A reference as a state."""
     names = ("voltage_squared", "pressure", "volume", "apex_stretch", "height", "charge", "breakdown_ratio")
-    return dj.State(**{n: ref[n] for n in names}, index=None, error_estimate=1e-12)
+    return dj.model.State(**{n: ref[n] for n in names}, index=None, error_estimate=1e-12)
 
 
 @functools.cache

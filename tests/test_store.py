@@ -49,7 +49,7 @@ def undisturbed(tmp_path_factory, faults):
 
 def sweep_again(store, **options):
     """The sweep of the specification, in this process."""
-    _, axes, given = dj.read_specification(store.parent / "spec.toml")
+    _, axes, given = dj.sweeps.read_specification(store.parent / "spec.toml")
     return dj.sweep(SCENE, *axes, **given, output=store, **options)
 
 
@@ -158,7 +158,7 @@ def test_another_sweep_or_version_is_refused(undisturbed, tmp_path):
         sweep_again(store)
     with pytest.raises(StoreError, match="another sweep: `axes`"):
         dj.sweep(SCENE, chamber_volume=[1.0], output=store, resume=True)
-    _, axes, _ = dj.read_specification(tmp_path / "spec.toml")
+    _, axes, _ = dj.sweeps.read_specification(tmp_path / "spec.toml")
     with pytest.raises(StoreError, match="another sweep: `scene`"):
         dj.sweep(SCENE.replace(initial_volume=2.0), *axes, output=store, resume=True)
     with pytest.raises(StoreError, match="another sweep: `engine`"):
@@ -196,7 +196,7 @@ def test_the_store_opens_without_this_package(undisturbed):
 
 def test_what_is_read_is_what_memory_would_hold(undisturbed, tmp_path):
     """Also of an unfinished store, whose other scenes are not computed."""
-    _, axes, given = dj.read_specification(undisturbed[0])
+    _, axes, given = dj.sweeps.read_specification(undisturbed[0])
     memory = dj.sweep(SCENE, *axes, **given)
     stored = dj.open_sweep(undisturbed[1])
     for name in memory.variables:

@@ -106,13 +106,13 @@ def test_material_derivatives_by_the_implicit_rule_and_by_rebuilding(surface):
         state = surface(apex, q)
 
         def shot(limit, pressure, apex=apex, q=q):
-            rim = dj.shoot(dj.Gent(limit), apex, pressure, q, steps=64.0)
+            rim = dj.model.shoot(dj.Gent(limit), apex, pressure, q, steps=64.0)
             return jnp.stack([rim.lag, rim.volume])
 
         by_limit, by_pressure = jax.jacfwd(shot, argnums=(0, 1))(270.0, state.pressure)
         pressure_rate = -by_limit[0] / by_pressure[0]
         volume_rate = by_limit[1] + by_pressure[1] * pressure_rate
-        mapped = [dj.explicit_map(dj.Gent(270.0 + d), apex, q, 1.0, 128.0) for d in (-step, step)]
+        mapped = [dj.model.explicit_map(dj.Gent(270.0 + d), apex, q, 1.0, 128.0) for d in (-step, step)]
         rebuilt = [(o(apex, q).pressure, o(apex, q).volume) for o in others]
         for pair in (mapped, rebuilt):
             for k, (rate, value) in enumerate(((pressure_rate, state.pressure), (volume_rate, state.volume))):

@@ -5,7 +5,8 @@ import pytest
 import xarray as xr
 
 import dielectric_jax as dj
-from dielectric_jax import Answer, Regime
+from dielectric_jax import Regime
+from dielectric_jax.sweeps import Answer
 
 SCENE = dj.Scene(dj.Membrane(), dj.Chamber(volume=1600.0, initial_volume=2.42))
 CHAMBERS = [467.84, 500.0, 800.0, 1600.0, 25000.0]
@@ -68,7 +69,7 @@ def test_continuation_agrees_and_decides_what_is_open(swept):
     """The other engine, which integrates and steps; and whole diagrams for what it leaves open."""
     other = dj.sweep(SCENE, chamber_volume=CHAMBERS, engine="continuation", resolve=True, tolerance=1e-8)
     assert (other.answered_by > 0).all()
-    told = dj.compare_sweeps(swept, other)
+    told = dj.sweeps.compare_sweeps(swept, other)
     for name in ("outcome", "regime", "snaps"):
         assert told[name]["differing"] == 0
     for name in ("snap_voltage", "landing_volume", "breakdown_voltage", "breakdown_apex_stretch", "rest_volume"):
@@ -115,7 +116,7 @@ def test_a_diagram_is_told_like_a_ramp(swept):
 
 def test_a_scene_that_cannot_be_leaves_the_others_alone():
     """A prestretch of 12 is beyond the limiting stretch of J = 270, not of J = 400."""
-    axis = dj.zipped(prestretch=[1.0, 12.0], chamber_volume=[1600.0, 1600.0])
+    axis = dj.sweeps.zipped(prestretch=[1.0, 12.0], chamber_volume=[1600.0, 1600.0])
     data = dj.sweep(SCENE, axis)
     assert [Answer(int(o)).name for o in data.outcome] == ["breakdown_on_branch", "invalid_scene"]
     assert abs(float(data.snap_voltage[0, 0]) / 0.0764953595449 - 1) < 1e-10
@@ -128,7 +129,7 @@ def test_an_error_in_a_block_is_that_of_its_scene(monkeypatch):
     def ramps(surface, chamber, *more, **options):
         if (chamber == 500.0).any():
             raise FloatingPointError
-        return dj.chamber_ramps(surface, chamber, *more, **options)
+        return dj.diagram.chamber_ramps(surface, chamber, *more, **options)
 
     monkeypatch.setattr(workers, "chamber_ramps", ramps)
     data = dj.sweep(SCENE, chamber_volume=CHAMBERS)
@@ -161,7 +162,7 @@ def test_sweeps_that_nothing_can_hold_are_refused():
         dj.sweep(SCENE, chamber_volume=chambers, initial_volume=[2.0, 2.4], block=1)
     for name in ("jump", "outcome", "block", "snap_voltage"):
         with pytest.raises(ValueError, match=f"`{name}` must not be the name of an axis"):
-            dj.sweep(SCENE, dj.zipped(name, chamber_volume=[800.0, 1600.0]))
+            dj.sweep(SCENE, dj.sweeps.zipped(name, chamber_volume=[800.0, 1600.0]))
 
 
 def test_the_surfaces_of_a_family_are_used_from_nine_prestretches_on():

@@ -43,7 +43,7 @@ def test_every_point_is_a_fold_or_a_breakdown_of_its_chamber(over_volume):
     surface = dj.Surface.build(dj.Membrane())
     compared = 0
     for curve in over_volume.curves:
-        ramps = dj.chamber_ramps(surface, curve.parameter, 2.42)
+        ramps = dj.diagram.chamber_ramps(surface, curve.parameter, 2.42)
         points = ramps.folds if curve.kind == "fold" else ramps.breakdowns
         for k in range(len(curve.parameter)):
             away = np.nan_to_num(np.abs(points.apex_stretch[k] - curve.apex_stretch[k]), nan=np.inf)
@@ -88,7 +88,7 @@ def test_one_cusp_in_two_planes():
     held = dj.Scene(dj.Membrane(), dj.ConstantPressure(1.0))
     found = dj.fold_curves(held, "prestretch", (2.1, 2.3), kinds=("fold",), samples=2)
     (cusp,) = found.named("cusp")
-    other = dj.pressure_cusp(dj.Membrane(), cusp.voltage, within=(2.0, 2.4))
+    other = dj.critical.pressure_cusp(dj.Membrane(), cusp.voltage, within=(2.0, 2.4))
     assert abs(float(other.parameter) / cusp.parameter - 1) < 1e-10
     assert abs(float(other.pressure) - 1) < 1e-10
 

@@ -60,16 +60,16 @@ def test_numbers_of_the_paper():
 
 
 def test_presets():
-    membrane, units = dj.vhb_4910()
+    membrane, units = dj.model.vhb_4910()
     assert float(membrane.material.stretch_limit) == 270 and float(units.shear_modulus) == 45e3
-    membrane, units = dj.vhb_4910("tension", thickness=0.5e-3)
+    membrane, units = dj.model.vhb_4910("tension", thickness=0.5e-3)
     assert float(membrane.material.stretch_limit) == 372 and float(units.shear_modulus) == 68e3
     # the breakdown law is that of section 3 in MV/m, whatever the unit
     assert units.to_si(float(membrane.breakdown.field(2.0)), "field") == pytest.approx(30.6e6 * 2**1.13, rel=1e-13)
     with pytest.raises(ValueError, match=r"`model` must be gent for the inflation fit, but is 'arruda-boyce'"):
-        dj.vhb_4910(model="arruda-boyce")
+        dj.model.vhb_4910(model="arruda-boyce")
     with pytest.raises(ValueError, match="`fit` must be one of inflation, tension"):
-        dj.vhb_4910("shear")
+        dj.model.vhb_4910("shear")
 
 
 def scene(**changes):
@@ -85,7 +85,7 @@ def test_a_scene_from_si():
     assert (float(back.volume), float(back.atmospheric_pressure)) == pytest.approx((20e-3, 100e3), rel=1e-14)
     held = dj.Scene.from_si(dj.Membrane(), dj.ConstantPressure(2e3), dj.Units(thickness=2e-3))
     assert float(held.loading.pressure) == pytest.approx(2e3 / (2 * PRESSURE), rel=1e-14)
-    assert dj.describe(held)["thickness"] == 2e-3
+    assert dj.model.describe(held)["thickness"] == 2e-3
 
 
 def test_other_constants_keep_the_apparatus():
@@ -122,7 +122,7 @@ def test_refusals():
     ]:
         with pytest.raises(ValueError, match=message):
             call()
-    custom = dj.Membrane(breakdown=dj.CustomBreakdown(lambda stretch: stretch))
+    custom = dj.Membrane(breakdown=dj.model.CustomBreakdown(lambda stretch: stretch))
     with pytest.raises(ValueError, match="`breakdown` must be a VHBBreakdown or ConstantBreakdown where units change"):
         dj.Scene(custom, dj.ConstantPressure(1.0), units=units).replace(thickness=1e-3)
 
@@ -159,7 +159,7 @@ def test_records_there_and_back(chamber):
 
 
 def test_ensembles_convert_too():
-    point = dj.Point(*(np.array([v]) for v in (2.0, 1.0, 3.0, 0.1, 1e-12)))
+    point = dj.diagram.Point(*(np.array([v]) for v in (2.0, 1.0, 3.0, 0.1, 1e-12)))
     there = dj.Units().to_si(point)
     assert there.pressure[0] == pytest.approx(PRESSURE) and there.voltage[0] == pytest.approx(0.1 * VOLTAGE)
     assert there.apex_stretch[0] == 2.0 and there.error[0] == 1e-12

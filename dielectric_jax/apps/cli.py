@@ -72,7 +72,7 @@ def _window(dj: Any, args: argparse.Namespace) -> Any:
     def pair(window: list[float] | None) -> tuple[float, float] | None:
         return None if window is None else (window[0], window[1])
 
-    return dj.Window(apex_stretch=pair(args.stretch_window), load_fraction=pair(args.load_window))
+    return dj.model.Window(apex_stretch=pair(args.stretch_window), load_fraction=pair(args.load_window))
 
 
 def _scene(dj: Any, args: argparse.Namespace) -> Any:
@@ -107,7 +107,7 @@ def _run_equilibrium(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[
         membrane, voltage=args.voltage, **given, all=args.all, tolerance=args.tolerance, window=_window(dj, args)
     )
     states = answer if args.all else [answer]
-    document = {"scene": dj.describe(membrane), "units": "dimensionless", "states": [s.to_json() for s in states]}
+    document = {"scene": dj.model.describe(membrane), "units": "dimensionless", "states": [s.to_json() for s in states]}
 
     def draw() -> Any:
         from ..plot import plot_diagram
@@ -178,9 +178,9 @@ def _run_sweep(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], An
         raise
     seconds = time.perf_counter() - begin
     if args.export is not None:
-        dj.export_sweep(data, args.export)
+        dj.sweeps.export_sweep(data, args.export)
         _say(f"wrote {args.export}")
-    return dj.count_sweep(data) | {"seconds": seconds, "store": args.output}, lambda: None
+    return dj.sweeps.count_sweep(data) | {"seconds": seconds, "store": args.output}, lambda: None
 
 
 def _run_regimes(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
@@ -213,12 +213,12 @@ def _run_calibrate(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[]
         outside, voltage = units.to_si(outside, "atmospheric_pressure"), units.to_si(voltage, "voltage")
     args.units, args.si = None, False
     read = {n: getattr(args, n) for n in ("columns", "column_units", "branch")}
-    data = dj.read_measurement(args.data, **read, atmospheric_pressure=outside)
+    data = dj.design.read_measurement(args.data, **read, atmospheric_pressure=outside)
     if data.in_si and units is None:
         raise ValueError(f"--si must be given with a DATA.csv that names units, but is not with {args.data}.")
     asked = {n: getattr(args, n) for n in ("over", "loss", "noise", "level")}
     found = dj.calibrate(data.volume, data.pressure, membrane=membrane, units=units, voltage=voltage, **asked)
-    document = {"scene": dj.describe(found.membrane), **found.to_json(), "notices": list(data.notices)}
+    document = {"scene": dj.model.describe(found.membrane), **found.to_json(), "notices": list(data.notices)}
     document |= {n: [option_names(v, args) for v in document[n]] for n in ("notices", "warnings")}
     if args.json is not None or args.figure is not None:
         for sentence in (*document["notices"], *document["warnings"]):

@@ -42,7 +42,7 @@ class MooneyRivlin(AbstractMaterial):
     c1 and c2 are in units of the shear modulus, which is 2(c1 + c2) = 1 where μ is that at small strain. Sources: Mooney,
     J. Appl. Phys. 11 (1940) 582; Rivlin, Phil. Trans. R. Soc. A 241 (1948) 379.
 
-    >>> from dielectric_jax import stresses
+    >>> from dielectric_jax.model import stresses
     >>> s1 = stresses(MooneyRivlin(c1=0.45, c2=0.05), 2.0, 2.0, 0.0)[0]
     >>> round(float(s1), 6)
     2.559375
@@ -89,7 +89,7 @@ class Ogden(AbstractMaterial):
     `moduli` are the μ_k in units of the shear modulus, `exponents` the α_k; the modulus at small strain is ½ Σ μ_k α_k,
     1 where μ is that. Source: Ogden, Proc. R. Soc. A 326 (1972) 565, whose three terms for rubber are the default, scaled so.
 
-    >>> from dielectric_jax import stresses
+    >>> from dielectric_jax.model import stresses
     >>> s1 = stresses(Ogden(moduli=(0.9, -0.1), exponents=(2.0, -2.0)), 2.0, 2.0, 0.0)[0]
     >>> round(float(s1), 6)
     2.559375
