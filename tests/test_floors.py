@@ -56,7 +56,7 @@ def modules_of(package: str) -> list[pathlib.Path]:
 
 def test_only_packages_stand_at_the_top():
     files = {p.name for p in PACKAGE.iterdir() if p.is_file()}
-    assert files == {"__init__.py", "__main__.py", "py.typed"}
+    assert files == {"__init__.py", "__init__.pyi", "__main__.py", "py.typed"}
     assert {p.name for p in PACKAGE.iterdir() if p.is_dir()} - {"__pycache__"} == set(FLOORS)
 
 
