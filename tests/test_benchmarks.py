@@ -7,33 +7,34 @@ import sys
 
 import pytest
 
-BENCHMARKS = pathlib.Path(__file__).parent.parent / "benchmarks"
+from benchmarks import harness
+from benchmarks.truth import chambers
+
+ROOT = pathlib.Path(__file__).parent.parent
 
 
 def quick(script: str, tmp_path, *more) -> tuple[dict, str]:
     """The JSON document of one run, and what it said."""
     pytest.importorskip("scipy")
-    command = [sys.executable, BENCHMARKS / script, "--quick", "--json", "-", *more]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    command = [sys.executable, "-m", f"benchmarks.{script}", "--quick", "--json", "-", *more]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.stdout, done.stderr
     return json.loads(done.stdout), done.stderr  # one document, whatever is written on the way
 
 
-def test_partial_records_go_to_files_only(tmp_path, capsys, monkeypatch):
-    monkeypatch.syspath_prepend(BENCHMARKS)
-    records = __import__("records")
+def test_partial_records_go_to_files_only(tmp_path, capsys):
     file = tmp_path / "record.json"
     for count in (1, 2):
-        records.write({"records": list(range(count))}, "-", partial=True)
-        records.write({"records": list(range(count))}, str(file), partial=True)
+        harness.write({"records": list(range(count))}, "-", partial=True)
+        harness.write({"records": list(range(count))}, str(file), partial=True)
         assert json.loads(file.read_text()) == {"records": list(range(count))}
     assert capsys.readouterr().out == ""
-    records.write({"records": [0.5, float("nan")]}, "-")
+    harness.write({"records": [0.5, float("nan")]}, "-")
     assert json.loads(capsys.readouterr().out) == {"records": [0.5, None]}
 
 
 def test_the_estimates_of_a_few_states_are_honest(tmp_path):
-    record, said = quick("error_honesty.py", tmp_path)
+    record, said = quick("acceptance.error_honesty", tmp_path)
     counts = record["counts"]
     assert counts["states"] == counts["converged"] == 12, said
     assert counts["exceptions"] == counts["ratio_above_allowed"] == counts["truth_not_sharp_enough"] == 0, said
@@ -43,7 +44,7 @@ def test_the_estimates_of_a_few_states_are_honest(tmp_path):
 
 
 def test_the_indices_of_a_few_states_are_those_of_the_eigenvalues(tmp_path):
-    record, said = quick("stability.py", tmp_path)
+    record, said = quick("acceptance.stability", tmp_path)
     counts = record["counts"]
     assert counts["states"] == 40 and counts["valid"] > 200 and counts["wrong"] == counts["ritz_unsure"] == 0, said
     assert counts["valid"] == counts["equal"] + counts["equal_on_finer"]
@@ -51,7 +52,7 @@ def test_the_indices_of_a_few_states_are_those_of_the_eigenvalues(tmp_path):
 
 
 def test_two_diagrams_agree_with_a_finer_scan(tmp_path):
-    record, said = quick("agreement.py", tmp_path)
+    record, said = quick("acceptance.agreement", tmp_path)
     assert record["counts"]["agreement"] == record["counts"]["scenes"] == 2, said
     assert record["largest_difference"] < 1e-6
     assert record["counts"]["fold"] == 2  # the second scene snaps: without a fold nothing was compared
@@ -59,7 +60,7 @@ def test_two_diagrams_agree_with_a_finer_scan(tmp_path):
 
 
 def test_the_first_diagram_is_measured_and_right(tmp_path):
-    record, said = quick("first_diagram.py", tmp_path)
+    record, said = quick("speed.first_diagram", tmp_path)
     names = [r["name"] for r in record["records"]]
     assert names == ["first_diagram: empty cache", "first_diagram: filled cache", "first_diagram: warm"], said
     for r in record["records"]:
@@ -72,7 +73,7 @@ def test_the_first_diagram_is_measured_and_right(tmp_path):
 
 
 def test_sixty_random_scenes_have_one_answer_in_every_way(tmp_path):
-    record, said = quick("one_answer.py", tmp_path)
+    record, said = quick("acceptance.one_answer", tmp_path)
     assert "PASSED" in said and record["differing"] == []
     assert set(record["asked"].values()) == {60} and len(record["asked"]) == 7
     # what decides by itself leaves nothing open, and the quick ways decide most
@@ -81,7 +82,7 @@ def test_sixty_random_scenes_have_one_answer_in_every_way(tmp_path):
 
 
 def test_chambers_on_the_surface_agree_with_continuation(tmp_path):
-    record, said = quick("ensemble.py", tmp_path)
+    record, said = quick("acceptance.ensemble", tmp_path)
     assert record["compared"] >= 6 and not record["differing"], said
     assert record["largest_difference"] < 1e-8
     group = record["groups"][0]
@@ -90,7 +91,7 @@ def test_chambers_on_the_surface_agree_with_continuation(tmp_path):
 
 
 def test_our_engines_are_right_beside_a_peer_or_alone(tmp_path):
-    record, said = quick("peers.py", tmp_path)
+    record, said = quick("speed.peers", tmp_path)
     ours = [r for r in record["records"] if not r["engine"].startswith("AUTO")]
     names = [r["engine"] for r in ours]
     assert names == ["continuation", "surface, certified", "surface alone", "glance", "ramp, one of 12"], said
@@ -102,7 +103,7 @@ def test_our_engines_are_right_beside_a_peer_or_alone(tmp_path):
 
 
 def test_a_small_sweep_is_right_and_measured(tmp_path):
-    record, said = quick("sweep.py", tmp_path)
+    record, said = quick("speed.sweep", tmp_path)
     assert sum(record["outcomes"].values()) == 512, said
     assert record["outcomes"]["unresolved"] < 256
     assert record["largest_error_bound"] <= 1e-8 and 0 < record["largest_curve_error"] < 1e-7
@@ -113,7 +114,7 @@ def test_a_small_sweep_is_right_and_measured(tmp_path):
 
 
 def test_labelled_sweeps_are_measured_and_right(tmp_path):
-    record, said = quick("sweep_throughput.py", tmp_path)
+    record, said = quick("speed.sweep_throughput", tmp_path)
     executors = [(r["engine"], r["executor"]) for r in record["records"] if r["name"].endswith("executors")]
     assert ("surface", "in process") in executors and ("continuation", "processes") in executors, said
     for r in record["records"]:
@@ -122,26 +123,24 @@ def test_labelled_sweeps_are_measured_and_right(tmp_path):
 
 
 def test_a_killed_sweep_loses_nothing(tmp_path):
-    record, said = quick("sweep_faults.py", tmp_path)
+    record, said = quick("acceptance.sweep_faults", tmp_path)
     assert record["kills"] == 3 and record["stores_finished"] >= 1 and record["wrong"] == [], said
 
 
 def test_a_process_of_many_scenes_stays_small(tmp_path):
-    record, said = quick("memory.py", tmp_path)
+    record, said = quick("acceptance.memory", tmp_path)
     first, last = record["blocks"]
     assert last["scenes"] == 4 and last["compiled"] < first["compiled"], said
     assert last["gigabytes"] < 1.5 and last["maps"] < 20_000 and last["programs"] > 0
 
 
 def test_a_surface_is_as_exact_as_it_says(tmp_path):
-    record, said = quick("surface_error.py", tmp_path)
+    record, said = quick("acceptance.surface_error", tmp_path)
     assert record["states"] == 200 and record["not_sharp"] < 100, said
     assert 0 < record["largest_ratio"] <= 10
 
 
-def test_the_references_of_the_chambers_agree_with_what_is_known(monkeypatch):
-    monkeypatch.syspath_prepend(BENCHMARKS)
-    chambers = __import__("chambers")
+def test_the_references_of_the_chambers_agree_with_what_is_known():
     found = chambers.reference()
     assert len(found) == 256
     # between these chamber volumes two folds have merged; below the last the landing of the snap is broken
@@ -150,13 +149,11 @@ def test_the_references_of_the_chambers_agree_with_what_is_known(monkeypatch):
     assert all(one.landing is not None for c, one in found.items() if c not in bare)
     # bistability begins at V_C = 1455.896
     assert all((len(one.zero_voltage) == 2) == (c > 1455.896) for c, one in found.items())
-    lines = (BENCHMARKS / "data" / "chambers.csv").read_text().splitlines()[1:]
+    lines = (chambers.DATA / "chambers.csv").read_text().splitlines()[1:]
     assert max(float(line.rsplit(",", 1)[1]) for line in lines) < 1e-12
 
 
-def test_missing_and_false_folds_are_counted(monkeypatch):
-    monkeypatch.syspath_prepend(BENCHMARKS)
-    chambers = __import__("chambers")
+def test_missing_and_false_folds_are_counted():
     truth = chambers.reference()
     bare = next(c for c, one in truth.items() if not one.folds)
     last = list(truth)[-1]
@@ -172,7 +169,7 @@ def test_missing_and_false_folds_are_counted(monkeypatch):
 
 
 def test_a_batch_of_chambers_is_right_by_every_engine(tmp_path):
-    record, said = quick("batch_diagrams.py", tmp_path, "--engines", "auto,surface,scipy_shooting,scipy_solve_bvp")
+    record, said = quick("speed.batch_diagrams", tmp_path, "--engines", "auto,surface,scipy_shooting,scipy_solve_bvp")
     engines = {r["engine"] for r in record["records"]}
     assert {"surface", "scipy_shooting", "scipy_solve_bvp"} <= engines, said
     assert "auto" in engines or record["missing"] == ["AUTO-07p: not installed"]
@@ -183,7 +180,7 @@ def test_a_batch_of_chambers_is_right_by_every_engine(tmp_path):
 
 
 def test_the_time_of_a_lane_is_taken_apart(tmp_path):
-    record, said = quick("lane_profile.py", tmp_path)
+    record, said = quick("speed.lane_profile", tmp_path)
     assert record["error"] < 1e-8 and "PASSED" in said
     assert [r["phase"] for r in record["records"]] == ["march", "events", "loads", "host"]
     assert sum(r["share"] for r in record["records"]) == pytest.approx(1)
@@ -191,7 +188,7 @@ def test_the_time_of_a_lane_is_taken_apart(tmp_path):
 
 
 def test_work_precision_diagrams_are_drawn(tmp_path):
-    record, said = quick("work_precision.py", tmp_path, "--output", tmp_path)
+    record, said = quick("speed.work_precision", tmp_path, "--output", tmp_path)
     assert set(record["records"]) == {"shot", "map", "pressure_volume"}, said
     for name, records in record["records"].items():
         assert (tmp_path / "figures" / f"work_precision_{name}.png").stat().st_size > 10_000
@@ -203,14 +200,14 @@ def test_work_precision_diagrams_are_drawn(tmp_path):
 
 
 def test_the_cost_of_a_scene_is_told_beside_its_error(tmp_path):
-    record, said = quick("cost_of_a_scene.py", tmp_path)
+    record, said = quick("speed.cost_of_a_scene", tmp_path)
     tables = {r["name"] for r in record["records"]}
     assert tables == {f"cost_of_a_scene: {t}" for t in ("integration", "equilibrium", "diagram")}, said
     assert all(r["ratio"] > 0 and (r["error"] is None or r["error"] < 1e-9) for r in record["records"])
 
 
 def test_a_cold_start_is_taken_apart(tmp_path):
-    record, said = quick("cold_start.py", tmp_path)
+    record, said = quick("speed.cold_start", tmp_path)
     empty, filled = record["records"]
     assert empty["error"] < 1e-9 and filled["error"] < 1e-9, said
     stages = "stages_summed_over_threads"
@@ -219,7 +216,7 @@ def test_a_cold_start_is_taken_apart(tmp_path):
 
 def test_some_hard_cases_make_a_table(tmp_path):
     table = tmp_path / "table.md"
-    record, said = quick("hard_cases.py", tmp_path, "--case", "6", "10", "--table", table)
+    record, said = quick("acceptance.hard_cases", tmp_path, "--case", "6", "10", "--table", table)
     assert len(record["records"]) >= 8 and all(r["right"] for r in record["records"]), said
     for r in record["records"]:
         assert {"name", "engine", "parameters", "error", "seconds_per_diagram", "compile_seconds", "counts"} <= set(r)
@@ -230,7 +227,7 @@ def test_some_hard_cases_make_a_table(tmp_path):
 
 
 def test_some_hard_scenes_are_counted(tmp_path):
-    record, said = quick("hard_scenes.py", tmp_path)
+    record, said = quick("acceptance.hard_scenes", tmp_path)
     ramps, sample = record["records"]
     assert ramps["engine"] == "surface" and sample["engine"] == "continuation", said
     counts = ramps["counts"]
@@ -241,14 +238,14 @@ def test_some_hard_scenes_are_counted(tmp_path):
 
 
 def test_a_few_gradients_are_audited(tmp_path):
-    record, said = quick("gradient_audit.py", tmp_path)
+    record, said = quick("acceptance.gradient_audit", tmp_path)
     rows = record["records"]
     assert {r["kind"] for r in rows} == {"snap voltage", "area strain"}, said
     assert all(r["relative_difference"] < 1e-6 for r in rows), said
 
 
 def test_fold_curves_and_their_known_numbers(tmp_path):
-    record, said = quick("fold_curves.py", tmp_path)
+    record, said = quick("acceptance.fold_curves", tmp_path)
     assert max(record["errors_in_last_digits"].values()) <= 1, said
     assert record["difference_between_search_and_curve"] < 1e-10 and 0 < record["difference_from_surface"] < 1e-9
     assert record["compared_with_surface"] > 20
@@ -259,7 +256,7 @@ def test_fold_curves_and_their_known_numbers(tmp_path):
 
 
 def test_two_designs_are_no_worse_than_scans(tmp_path):
-    record, said = quick("design_problems.py", tmp_path)
+    record, said = quick("acceptance.design_problems", tmp_path)
     assert len(record["problems"]) == 2 and record["good"], said
     for problem in record["problems"].values():
         assert problem["scan"]["designs"] >= 1000 and problem["active"] == ["survival_margin"]

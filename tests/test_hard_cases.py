@@ -1,21 +1,14 @@
-"""Hard cases: nothing is answered wrongly without saying so; the cases and their truths are in benchmarks/hard_cases.py."""
-
-import pathlib
-import sys
+"""Hard cases: nothing is answered wrongly without saying so; the cases and their truths are in benchmarks/acceptance/hard_cases.py."""
 
 import numpy as np
 import pytest
 
 import dielectric_jax as dj
+from benchmarks.acceptance import hard_cases
+from benchmarks.truth import contours as contour_truth
+from benchmarks.truth import extended_precision as truth
 from dielectric_jax import Code, SceneError
 from dielectric_jax.model import Outcome
-
-sys.path.insert(0, str(pathlib.Path(__file__).parent.parent / "benchmarks"))
-import contour_truth
-import hard_cases
-import truth
-
-sys.path.pop(0)
 
 
 @pytest.mark.parametrize("number", hard_cases.CASES)

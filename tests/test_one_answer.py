@@ -1,19 +1,15 @@
 """Every way of asking gives one answer: whole diagrams, batches, surfaces, glances, sweeps, and designs."""
 
 import dataclasses
-import pathlib
-import sys
 
 import jax
 import numpy as np
 import pytest
 
 import dielectric_jax as dj
+from benchmarks.acceptance.one_answer import OPEN, asked_in_every_way, disagree
 from dielectric_jax.diagram import beyond
 from dielectric_jax.model.outcomes import FoldAhead
-
-sys.path.insert(0, str(pathlib.Path(__file__).parent.parent / "benchmarks"))
-from one_answer import OPEN, asked_in_every_way, disagree
 
 FILM = dj.Membrane()
 WEAK = dj.Membrane(breakdown=dj.VHBBreakdown(scale=0.6))

@@ -3,20 +3,15 @@
 import functools
 import json
 import pathlib
-import sys
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import dielectric_jax as dj
-
-sys.path.insert(0, str(pathlib.Path(__file__).parent.parent / "benchmarks"))
-import ritz
-import truth
-from ritz import Ritz
-
-sys.path.pop(0)
+from benchmarks.truth import extended_precision as truth
+from benchmarks.truth import ritz
+from benchmarks.truth.ritz import Ritz
 
 REFERENCES = json.loads((pathlib.Path(__file__).parent / "data" / "equilibria.json").read_text(encoding="utf-8"))
 HELD = {

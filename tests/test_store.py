@@ -1,6 +1,6 @@
 """Stores survive what happens to their writers: kills in the middle of writes, full disks, damage, second writers.
 
-The truth is a run that nobody disturbed, bit for bit; `benchmarks/sweep_faults.py` strikes many more times.
+The truth is a run that nobody disturbed, bit for bit; `benchmarks/acceptance/sweep_faults.py` strikes many more times.
 """
 
 import pathlib
@@ -14,6 +14,7 @@ import pytest
 import xarray as xr
 
 import dielectric_jax as dj
+from benchmarks.acceptance import sweep_faults
 from dielectric_jax.numerics.codes import StoreError
 from dielectric_jax.numerics.locks import alone
 
@@ -30,9 +31,7 @@ SCENE = dj.Scene(dj.Membrane(), dj.Chamber(volume=1600.0, initial_volume=2.42))
 
 @pytest.fixture(scope="module")
 def faults():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(BENCHMARKS)
-        yield __import__("sweep_faults")
+    return sweep_faults
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,1 @@
+"""Is it right? Many random questions, each against another method."""

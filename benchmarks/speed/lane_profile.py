@@ -1,0 +1,154 @@
+"""Where does the time of one chamber in a batch by continuation go? Why it is not less than it is.
+
+The 256 chambers of `batch_diagrams.py` on one core, call by call: marching along the branch, events by Newton and the
+residual on a finer grid, reading breakdown loads, and the host's own work. What a right-hand side costs inside such a call and in
+a batch of states alone tells the least that each phase can take. The error of the snaps against `data/chambers.csv` stands beside.
+
+    DIELECTRIC_JAX_CORES=1 taskset -c 0 python -m benchmarks.speed.lane_profile [--json FILE|-] [--quick]
+"""
+
+import argparse
+import functools
+import os
+import sys
+import time
+
+os.environ.setdefault("DIELECTRIC_JAX_CORES", "1")
+
+import jax
+import numpy as np
+
+import dielectric_jax as dj
+from benchmarks.harness import machine, write
+from benchmarks.speed.shots import MATERIAL, States, seconds_of
+from benchmarks.truth import chambers
+from dielectric_jax.diagram import batch, crowd, lanes
+from dielectric_jax.model.shooting import COLUMNS, integrate_membrane
+from dielectric_jax.numerics.compiled import kept_jit
+
+jax.config.update("jax_enable_x64", True)
+dj.enable_compilation_cache()
+
+STAGES = 13  # right-hand sides of a step of Dopri8
+LANES = 256
+
+
+class Meter:
+    """Seconds, calls, lanes with their padding, and linearisations' right-hand sides of one program."""
+
+    def __init__(self, module, name: str, sides):
+        self.module, self.name, self.sides = module, name, sides
+        self.program = getattr(module, name)
+        self.reset()
+
+    def reset(self) -> None:
+        self.seconds, self.calls, self.lanes, self.evaluations = 0.0, 0, 0, 0.0
+
+    def __enter__(self):
+        setattr(self.module, self.name, functools.wraps(self.program)(self))
+        return self
+
+    def __exit__(self, *_):
+        setattr(self.module, self.name, self.program)
+
+    def __call__(self, *args):
+        begin = time.perf_counter()
+        found = jax.block_until_ready(self.program(*args))
+        self.seconds += time.perf_counter() - begin
+        count, sides = self.sides(*args)
+        self.calls, self.lanes, self.evaluations = self.calls + 1, self.lanes + count, self.evaluations + count * sides
+        return found
+
+
+def march_sides(membrane, contour, limits, walk, peak, steps, *rest):
+    return len(peak), lanes._PASSES * steps * STAGES
+
+
+def meet_sides(membrane, contour, u, tangents, slopes, rows, targets, kinds, rounds, grid):
+    # without derivatives the residual costs two fifths
+    return u.shape[1], (rounds * grid[0] + grid[1] / 2.6) * STAGES
+
+
+def right_hand_side() -> float:
+    """Seconds of one right-hand side with three derivatives, in a batch of states alone."""
+    states = States(LANES)
+    u = np.stack([states.apex, states.p, states.q])
+
+    @kept_jit  # as the batch's programs are compiled
+    def program(u, steps):
+        shot = integrate_membrane(MATERIAL, *u, steps, columns=COLUMNS)
+        return [shot.columns[name] for name in COLUMNS]
+
+    best, _ = seconds_of(lambda: jax.block_until_ready(program(u, 48.0)), 5)
+    return best / (LANES * 48 * STAGES)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", metavar="FILE", help='"-" is standard output')
+    parser.add_argument("--quick", action="store_true", help="32 chambers, one round")
+    options = parser.parse_args()
+    known = chambers.reference()
+    volumes = sorted(known)[:: 8 if options.quick else 1]
+    membrane = dj.Membrane(material=dj.Gent(chambers.STRETCH_LIMIT))
+    scenes = [dj.Scene(membrane, dj.Chamber(volume=v, initial_volume=chambers.INITIAL_VOLUME)) for v in volumes]
+    meters = {
+        "march": Meter(batch, "march_program", march_sides),
+        "events": Meter(crowd, "meet_program", meet_sides),
+        "loads": Meter(crowd, "limits_program", lambda membrane, apex: (len(apex), 0)),
+    }
+    whole, best, found = float("inf"), {}, None
+    with meters["march"], meters["events"], meters["loads"]:
+        for k in range(2 if options.quick else 6):
+            for meter in meters.values():
+                meter.reset()
+            begin = time.perf_counter()
+            found = dj.continue_scenes(scenes)
+            seconds = time.perf_counter() - begin
+            if k and seconds < whole:
+                whole = seconds
+                best = {n: (m.seconds, m.calls, m.lanes, m.evaluations) for n, m in meters.items()}
+    side, count = right_hand_side(), len(scenes)
+    records = [
+        {
+            "phase": name,
+            "ms_a_diagram": 1e3 * seconds / count,
+            "share": seconds / whole,
+            "calls": calls,
+            "lanes_with_padding": padded,
+            "right_hand_sides_a_diagram": evaluations / count,
+            "ms_a_diagram_of_right_hand_sides_alone": 1e3 * evaluations * side / count,
+        }
+        for name, (seconds, calls, padded, evaluations) in best.items()
+    ]
+    rest = whole - sum(seconds for seconds, *_ in best.values())
+    records.append({"phase": "host", "ms_a_diagram": 1e3 * rest / count, "share": rest / whole})
+    snaps = [known[v].folds[0][0] ** 0.5 if known[v].folds else np.nan for v in volumes]
+    error = float(np.nanmax(np.abs(found.ramps.snap.voltage[:, 0] - snaps)))
+    document = {
+        "name": "lane_profile",
+        "parameters": {"chambers": count, "cores": os.environ["DIELECTRIC_JAX_CORES"]},
+        "ms_a_diagram": 1e3 * whole / count,
+        "error": error,
+        "right_hand_side_us": 1e6 * side,
+        "records": records,
+        "machine": machine(),
+    }
+    write(document, options.json)
+    out = sys.stderr
+    print(f"{1e3 * whole / count:.2f} ms a diagram; largest error of a snap's voltage {error:.1e}", file=out)
+    print(f"a right-hand side with three derivatives, states alone: {1e6 * side:.3f} µs", file=out)
+    print(f"{'':10}{'ms':>8}{'share':>8}{'calls':>8}{'lanes':>9}{'sides':>9}{'ms alone':>10}", file=out)
+    for r in records:
+        line = f"{r['phase']:10}{r['ms_a_diagram']:8.2f}{r['share']:8.2f}"
+        if "calls" in r:
+            line += f"{r['calls']:8d}{r['lanes_with_padding']:9d}{r['right_hand_sides_a_diagram']:9.0f}"
+            line += f"{r['ms_a_diagram_of_right_hand_sides_alone']:10.2f}"
+        print(line, file=out)
+    good = error < 1e-8
+    print("PASSED" if good else "FAILED", file=out)
+    return 0 if good else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
