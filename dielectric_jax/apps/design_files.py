@@ -1,6 +1,6 @@
 """Questions about designs written down: a file of TOML with a scene, the parameters that vary, and what is wished for."""
 
-from ..model import PARAMETERS, Scene
+from ..model import Scene, place_of
 from ..numerics import shown
 from ..sweeps import check_dimensionless, number, read_toml, refuse, scene_of, table
 
@@ -53,7 +53,7 @@ def read_design_file(path: str, command: str) -> tuple[Scene, dict, dict]:
         given = table("uncertain", document["uncertain"])
         options["uncertain"] = {name: number("uncertain", name, share) for name, share in given.items()}
     scene, constants = (table(name, document.get(name, {})) for name in ("scene", "units"))
-    sought = {n: low for n, (low, _) in over.items() if n in PARAMETERS and PARAMETERS[n][0] != "units"}
+    sought = {n: low for n, (low, _) in over.items() if place_of(n)[0] != "units"}
     made = scene_of(sought | scene, constants)
     check_dimensionless(scene | over, constants)
     return made, over, options

@@ -18,7 +18,7 @@ import numpy as np
 
 from ..design import surface_for
 from ..diagram import Diagram, Glance, curves_and_ramps, glance, pressure_volume, regime_of_diagram, voltage_volume
-from ..model import Chamber, ConstantPressure, ConstantVoltage, Event, Membrane, Regime, Scene, Window
+from ..model import Chamber, ConstantPressure, ConstantVoltage, Event, Membrane, Regime, Scene, Window, parameter_of
 from ..numerics import SceneError
 from ..plot import (
     event_entries,
@@ -42,13 +42,8 @@ _LOADINGS = {
     "constant pressure": ("pressure",),
     "constant voltage": ("voltage",),
 }
-_WORDS = {
-    "chamber_volume": "chamber V_C / A³",
-    "initial_volume": "filling V_0 / A³",
-    "pressure": "pressure p A / (μH)",
-    "voltage": "voltage Φ / (H√(μ/ε))",
-    "prestretch": "prestretch λ₀",
-}
+_WORDS = {name: parameter_of(name).label for name in ("chamber_volume", "initial_volume", "pressure", "prestretch")}
+_WORDS["voltage"] = "voltage Φ / (H√(μ/ε))"
 # least, largest, step, and the value where the scene tells none
 _RANGES = {
     "initial_volume": (0.1, 8.0, 0.02, 2.42),

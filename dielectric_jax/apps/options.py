@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from ..model import PARAMETERS
 from ..numerics import LARGEST, shown
 from .refusals import BadInput, Parser, one_of
 
@@ -98,6 +99,23 @@ def _breakdown(text: str) -> str | float:
     return _number(lambda v: v > 0, "vhb or a positive field in units of √(μ/ε)")(text)
 
 
+_ASCII = str.maketrans({"₀": "0", "₁": "1", "₂": "2", "ᵢ": "", "μ": "M", "α": "A", "λ": "L", "_": ""})
+
+
+def _add_parameter(group, name: str, of: str = "", value: float | None = None) -> None:
+    """The option of a parameter, as the table of parameters describes it; `value` where it is left out."""
+    row = PARAMETERS[name]
+    many = {"nargs": "+"} if row.many else {}
+    kind = (
+        _finite if math.isinf(row.least) else _prestretch if row.least else _not_negative if row.closed else _positive
+    )
+    default = "" if row.default is None else f" ({row.default:g})"
+    symbol = row.symbol.translate(_ASCII).upper()
+    group.add_argument(
+        _option(name), type=kind, default=value, metavar=symbol, help=f"{row.label}{of}{default}", **many
+    )
+
+
 def _parser() -> Parser:
     parser = Parser(prog=PROGRAM, description=_DESCRIPTION)
     parser.add_argument("--version", action="version", version=f"{PROGRAM} {_version()}")
@@ -106,13 +124,10 @@ def _parser() -> Parser:
     common = Parser(add_help=False)
     group = common.add_argument_group("membrane")
     group.add_argument("--material", choices=list(MATERIAL_CONSTANTS), default="gent", help="free energy (gent)")
-    group.add_argument("--stretch-limit", type=_positive, metavar="J", help="limit J of gent (270)")
-    group.add_argument("--chain-links", type=_positive, metavar="N", help="links of a chain of arruda-boyce (125)")
-    group.add_argument("--c1", type=_not_negative, metavar="C1", help="of mooney-rivlin, in μ (0.45)")
-    group.add_argument("--c2", type=_not_negative, metavar="C2", help="of mooney-rivlin, in μ (0.05)")
-    for name, symbol, what in (("--moduli", "M", "moduli μ_k of ogden, in μ"), ("--exponents", "A", "exponents α_k")):
-        group.add_argument(name, type=_finite, nargs="+", metavar=symbol, help=what)
-    group.add_argument("--prestretch", type=_prestretch, default=1.0, metavar="L0", help="stretch of the rim (1)")
+    for material, names in MATERIAL_CONSTANTS.items():
+        for name in names:
+            _add_parameter(group, name, f" of {material}")
+    _add_parameter(group, "prestretch", value=1.0)
     group.add_argument(
         "--breakdown", type=_breakdown, default="vhb", metavar="vhb|FIELD", help="law of the breakdown field (vhb)"
     )
@@ -151,18 +166,13 @@ def _parser() -> Parser:
         "voltage-volume", parents=[common], help="the diagram of a loading", description=_DESCRIPTION
     )
     loading = scene.add_mutually_exclusive_group(required=True)
-    loading.add_argument("--pressure", type=_not_negative, metavar="P", help="constant pressure")
-    loading.add_argument("--chamber-volume", type=_positive, metavar="VC", help="volume of a closed chamber")
-    loading.add_argument("--volume", type=_not_negative, metavar="V", help="prescribed volume under the membrane")
+    for name in ("pressure", "chamber_volume", "volume"):
+        _add_parameter(loading, name)
     filling = scene.add_mutually_exclusive_group()
-    filling.add_argument(
-        "--initial-volume", type=_not_negative, metavar="V0", help="filling of the chamber, as a volume"
-    )
-    filling.add_argument("--initial-pressure", type=_not_negative, metavar="P0", help="… or as a pressure")
-    scene.add_argument(
-        "--atmospheric-pressure", type=_not_negative, metavar="PATM", help="pressure outside (50; 100 kPa)"
-    )
-    scene.add_argument("--polytropic-exponent", type=_positive, metavar="N", help="1 is isothermal (1)")
+    for name in ("initial_volume", "initial_pressure"):
+        _add_parameter(filling, name)
+    for name in ("atmospheric_pressure", "polytropic_exponent"):
+        _add_parameter(scene, name)
     scene.add_argument(
         "--control", choices=["voltage", "charge"], default="voltage", help="what a ramp changes (voltage)"
     )

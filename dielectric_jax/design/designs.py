@@ -14,12 +14,11 @@ import jax
 import numpy as np
 
 from ..diagram import ByLeaves, Ramps, chamber_ramps, continue_scenes, loading_columns, pressure_ramps, regime_of
-from ..model import Chamber, ConstantPressure, Membrane, Regime, Scene, field_on
+from ..model import Chamber, Change, ConstantPressure, Membrane, Regime, Scene, change_of, field_on
 from ..numerics import SceneError
 from ..surface import ById, Surface, SurfaceFamily
 
 __all__ = [
-    "MATERIAL_CONSTANTS",
     "Designs",
     "by_continuation",
     "by_diagrams",
@@ -29,7 +28,6 @@ __all__ = [
     "surface_for",
 ]
 
-MATERIAL_CONSTANTS = ("stretch_limit", "chain_links")
 _TYPICAL = 5.0  # a stretch at which breakdown laws are compared
 
 
@@ -66,7 +64,7 @@ def _row(columns, which):
 
 def sheet_over(scene: Scene, over: dict, given: typing.Any) -> Surface | SurfaceFamily | None:
     """One surface, or family, for all designs over ranges of parameters, where one serves; else None."""
-    if given is not None or any(n in over for n in MATERIAL_CONSTANTS):
+    if given is not None or any(change_of(n) is Change.MATERIAL for n in over):
         return given
     if "prestretch" in over:
         low, high = over["prestretch"]

@@ -12,12 +12,11 @@ import numpy as np
 import scipy.ndimage
 
 from ..diagram import Ramps
-from ..model import Outcome, Regime, Scene, describe, plain
+from ..model import Change, Outcome, Regime, Scene, change_of, describe, plain
 from ..numerics import LARGEST, check_whole, shown
 from ..surface import Surface, SurfaceFamily
 from .boundaries import LANDING_LEAVES, completed, guesses, has_event, kind_between, meet, with_landing
 from .designs import (
-    MATERIAL_CONSTANTS,
     Designs,
     by_continuation,
     by_diagrams,
@@ -34,11 +33,7 @@ _BISECTIONS = 20
 _ISLAND = 6  # designs
 _VAGUE = 3.0  # cells
 _DECADES = 1.2  # a range wider than this many decades is divided evenly in the logarithm
-#: parameters with another sheet of states at every value
 _MOST_POINTS = 10_000  # along a parameter
-_SHEETS = ("prestretch", *MATERIAL_CONSTANTS)
-#: … or another breakdown law
-_LAWS = ("breakdown_field_scale", "shear_modulus", "permittivity")
 _POINTS, _SHEET_POINTS = 400, 25
 
 
@@ -178,7 +173,7 @@ def _edges(known: _Known, one: np.ndarray, other: np.ndarray):
     kinds = np.array(
         [kind_between(a, b) or "" for a, b in zip(known.regime[one], known.regime[other], strict=True)], object
     )
-    varying = [n in _SHEETS for n in known.names]
+    varying = [change_of(n) in (Change.PRESTRETCH, Change.MATERIAL) for n in known.names]
     same_sheet = ~np.any((begin != end)[:, varying], axis=1) if any(varying) else np.ones(len(one), bool)
     designs = known.designs()
     for kind in sorted(set(kinds[same_sheet]) - {""}):
@@ -302,7 +297,7 @@ def regime_map(
             number[new[:, 0], new[:, 1]] = known.add(np.stack([x[new[:, 1]], y[new[:, 0]]], axis=1))
 
     def ticks(name, count, stride):
-        return np.unique([*range(0, count, 1 if name in (*_SHEETS, *_LAWS) else stride), count - 1])
+        return np.unique([*range(0, count, 1 if change_of(name) is not Change.LOADING else stride), count - 1])
 
     stride = _COARSE
     rows, columns = (ticks(n, c, stride) for n, c in zip(names[::-1], (len(y), len(x)), strict=True))
@@ -353,7 +348,7 @@ def _join_islands(known: _Known, number, whole) -> None:
 
 def _counts(names, points) -> tuple[int, int]:
     if points is None:
-        first, second = (_SHEET_POINTS if n in (*_SHEETS, *_LAWS) else _POINTS for n in names)
+        first, second = (_SHEET_POINTS if change_of(n) is not Change.LOADING else _POINTS for n in names)
         return first, second
     counts = tuple(points) if isinstance(points, (tuple, list)) else (points, points)
     if len(counts) != 2:

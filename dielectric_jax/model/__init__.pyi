@@ -45,10 +45,11 @@ from .materials import (
 )
 from .membrane import Membrane, Profile, field_ratio_squared, slopes, vhb_4910, window_end
 from .outcomes import REGIME_COLOURS, SNAPPING, FoldAhead, Outcome, Regime, regimes_of
+from .parameters import PARAMETERS, Change, Parameter, change_of, parameter_of, place_of
 from .profiles import energy, profile, scaling_defect
 from .programs import CHUNK, compile_ahead, cores, jacobian_program, run_chunks, threads, value_program
 from .records import Branch, Event, Ramp, SpecialPoint, State, events_table, plain, points_table, voltage_of
-from .scene import PARAMETERS, SCANNED_LOAD, Scene, Window, describe, pair, place_of
+from .scene import SCANNED_LOAD, Scene, Window, describe, pair
 from .shooting import COLUMNS, MOST_STEPS, eighth_order_step, integrate_membrane, rim_with_columns, shoot
 from .stability import Stability, index_of, stability_of
 from .units import VACUUM_PERMITTIVITY, VHB_4910, Units
@@ -74,6 +75,7 @@ __all__ = [
     "ArrudaBoyce",
     "Branch",
     "Chamber",
+    "Change",
     "ChargeControl",
     "ConstantBreakdown",
     "ConstantPressure",
@@ -91,6 +93,7 @@ __all__ = [
     "NeoHookean",
     "Ogden",
     "Outcome",
+    "Parameter",
     "Points",
     "PrescribedVolume",
     "Profile",
@@ -108,6 +111,7 @@ __all__ = [
     "as_scalar",
     "cached_scan",
     "capacitance",
+    "change_of",
     "compile_ahead",
     "control_of",
     "cores",
@@ -131,6 +135,7 @@ __all__ = [
     "map_nodes",
     "mechanical",
     "pair",
+    "parameter_of",
     "place_of",
     "plain",
     "points_table",

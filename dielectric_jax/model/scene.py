@@ -33,44 +33,12 @@ from .materials import (
     VHBBreakdown,
 )
 from .membrane import Membrane
+from .parameters import PARAMETERS, parameter_of, place_of
 from .units import Units, is_concrete
 
-__all__ = ["PARAMETERS", "Scene", "Window", "describe", "pair"]
+__all__ = ["Scene", "Window", "describe", "pair"]
 
-#: loadings whose fields share a name
-_OWNERS = {"chamber_volume": Chamber, "volume": PrescribedVolume}
 SCANNED_LOAD = 0.9  # the scan covers load fractions up to this
-
-#: every continuous parameter of a scene, and where it lives; the last four, in SI, where the scene carries `units`;
-#: the constants of a user's material have the names of its fields
-PARAMETERS = {
-    "chamber_volume": ("loading", "volume"),
-    "initial_volume": ("loading", "initial_volume"),
-    "initial_pressure": ("loading", "initial_pressure"),
-    "atmospheric_pressure": ("loading", "atmospheric_pressure"),
-    "polytropic_exponent": ("loading", "polytropic_exponent"),
-    "pressure": ("loading", "pressure"),
-    "volume": ("loading", "volume"),
-    "prestretch": ("membrane", "prestretch"),
-    "breakdown_field_scale": ("membrane", "breakdown", "scale"),
-    "stretch_limit": ("membrane", "material", "stretch_limit"),
-    "chain_links": ("membrane", "material", "chain_links"),
-    "c1": ("membrane", "material", "c1"),
-    "c2": ("membrane", "material", "c2"),
-    "moduli": ("membrane", "material", "moduli"),
-    "exponents": ("membrane", "material", "exponents"),
-    "thickness_coefficient": ("membrane", "material", "thickness_coefficient"),
-    "stretch_coefficient": ("membrane", "material", "stretch_coefficient"),
-    "shear_modulus": ("units", "shear_modulus"),
-    "thickness": ("units", "thickness"),
-    "radius": ("units", "radius"),
-    "permittivity": ("units", "permittivity"),
-}
-
-
-def place_of(name: str) -> tuple[str, ...]:
-    """Where a scene keeps a parameter: a published one, or else a constant of a user's material."""
-    return PARAMETERS.get(name, ("membrane", "material", name))
 
 
 def constants_of(material) -> list[str]:
@@ -210,10 +178,10 @@ class Scene(eqx.Module):
         if name not in PARAMETERS and not self._holds(path):
             own = dict.fromkeys((*PARAMETERS, *constants_of(self.membrane.material)))
             raise ValueError(f"`{name}` must be one of {', '.join(own)}, but is not a parameter of a scene.")
-        own = _OWNERS.get(name, AbstractLoading)
+        owner = parameter_of(name).owner
         if isinstance(self.loading, ChargeControl) and path[0] == "loading":
             path = ("loading", *path)
-        if not (self._holds(path) and isinstance(mechanical(self.loading), own)):
+        if not self._holds(path) or (owner and type(mechanical(self.loading)).__name__ != owner):
             raise ValueError(
                 f"`{name}` must be a parameter of this scene, but its {path[0]} has none of that name."
                 if path[0] != "units" or self.units is not None

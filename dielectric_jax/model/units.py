@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..numerics import LARGEST, check_positive
+from .parameters import PARAMETERS
 
 __all__ = ["VACUUM_PERMITTIVITY", "VHB_4910", "Scalar", "Units", "as_scalar", "is_concrete"]
 
@@ -29,10 +30,8 @@ VHB_4910 = {
     "tension": {"shear_modulus": 68e3, "stretch_limit": 372.0, "chain_links": 125.0},
 }
 
-# what kind of quantity a name is; names that are missing have no unit
+# what kind of quantity a name of a record is; names that are missing have no unit
 _KINDS = {
-    "pressure": ("pressure", "initial_pressure", "atmospheric_pressure"),
-    "volume": ("volume", "initial_volume", "chamber_volume"),
     "voltage": ("voltage",),
     "voltage_squared": ("voltage_squared",),
     "length": ("height", "radius", "r", "z"),
@@ -41,7 +40,8 @@ _KINDS = {
     "stress": ("stress", "stress_1", "stress_2"),
     "energy": ("energy",),
 }
-_KIND = {name: kind for kind, names in _KINDS.items() for name in names}
+_KIND = {row.name: row.kind for row in PARAMETERS.values() if row.kind in ("pressure", "volume")}
+_KIND |= {name: kind for kind, names in _KINDS.items() for name in names}
 _SI_NAMES = {
     "pressure": "Pa",
     "volume": "m³",
@@ -67,7 +67,7 @@ _READ = {
     "energy": ("mJ", 1e-3),
 }
 # the constants of the units themselves, in SI wherever they stand
-_CONSTANTS = {"shear_modulus": "Pa", "thickness": "m", "radius": "m", "permittivity": "F/m"}
+_CONSTANTS = {row.name: row.kind for row in PARAMETERS.values() if row.path[0] == "units"}
 _DIMENSIONLESS_ATMOSPHERE = 50.0  # the default of a chamber
 
 

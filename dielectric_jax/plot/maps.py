@@ -6,28 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..model import REGIME_COLOURS, Regime
+from ..model import REGIME_COLOURS, Regime, parameter_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __all__ = ["plot_fold_curves", "plot_regime_map"]
 
-_WORDS = {
-    "chamber_volume": "Chamber volume V_C / A³",
-    "initial_volume": "Filling V₀ / A³",
-    "initial_pressure": "Filling pressure p₀ A / (μH)",
-    "atmospheric_pressure": "Pressure outside p_atm A / (μH)",
-    "polytropic_exponent": "Polytropic exponent n",
-    "pressure": "Pressure p A / (μH)",
-    "prestretch": "Prestretch λ₀",
-    "stretch_limit": "Limit J",
-    "breakdown_field_scale": "Breakdown field / law",
-    "shear_modulus": "Shear modulus μ / Pa",
-    "thickness": "Thickness H / m",
-    "radius": "Radius A / m",
-    "permittivity": "Permittivity ε / (F/m)",
-}
 _LEAST_SHARE = 0.01  # of the map: smaller areas are named in the legend
 
 
@@ -145,7 +130,8 @@ _CONTROLS = {"voltage": "Voltage Φ / (H √(μ/ε))", "pressure": "Pressure p A
 
 
 def _words(name: str) -> str:
-    return _WORDS.get(name, name.replace("_", " "))
+    label = parameter_of(name).label
+    return label[0].upper() + label[1:]
 
 
 def _logarithmic(values: np.ndarray) -> bool:

@@ -8,22 +8,19 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..model import PARAMETERS, Scene, place_of
+from ..model import PARAMETERS, Scene, parameter_of, place_of
 from ..numerics import LARGEST, check_whole, shown
 
 __all__ = ["Axis", "Design", "read_scenes", "samples", "zipped"]
 
-#: parameters that may be zero, or anything; the others are positive, the prestretch at least 1
-_ZERO_ALLOWED = ("initial_volume", "initial_pressure", "pressure", "atmospheric_pressure")
-_ANY_ALLOWED = ("c1", "c2", "thickness_coefficient", "stretch_coefficient")
-_LISTS = ("moduli", "exponents")  # one scene's value is a list
 MOST_VALUES = 10**7  # of an axis, each of which is held in memory, some of them for every scene at once
 _METHODS = ("sobol", "latin_hypercube", "random")
 
 
 def _checked(name: str, values) -> np.ndarray:
     """The values of a parameter as a column; raises ValueError for what no scene can have."""
-    if name in _LISTS:
+    row = parameter_of(name)
+    if row.many:
         raise ValueError(f"`{name}` must not vary along an axis, because its value is a list.")
     try:
         column = np.atleast_1d(np.asarray(values, float))
@@ -31,16 +28,10 @@ def _checked(name: str, values) -> np.ndarray:
         raise ValueError(f"`{name}` must be a list of numbers, but is {shown(values)}.") from None
     if column.ndim != 1 or not column.size:
         raise ValueError(f"`{name}` must be a list of at least one number, but has the shape {column.shape}.")
-    anything = name in _ANY_ALLOWED or name not in PARAMETERS  # a constant of a user's material
-    least = -np.inf if anything else 1.0 if name == "prestretch" else 0.0
-    allowed = (np.abs(column) <= LARGEST) & (
-        (column > least) | ((column == least) & (name in (*_ZERO_ALLOWED, "prestretch")))
-    )
+    above = (column >= row.least) if row.closed else (column > row.least)
+    allowed = (np.abs(column) <= LARGEST) & above
     if not allowed.all():
-        what = {"prestretch": "at least 1 and "}.get(
-            name, "zero or positive and " if name in _ZERO_ALLOWED else "positive and "
-        )
-        what = "" if anything else what
+        what = f"{row.allowed} and " if row.allowed else ""
         value = float(column[~allowed][0])
         finite = f"at most {LARGEST:g} in size" if LARGEST < abs(value) < math.inf else "finite"
         raise ValueError(f"`{name}` must be {what}{finite}, but one value is {value!r}.")

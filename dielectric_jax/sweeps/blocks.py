@@ -257,10 +257,10 @@ def _on_surface(job: Job, scene: Scene, loadings: dict, count: int) -> dict[str,
 def _columns_of(scene: Scene, loadings: dict, count: int) -> dict[str, typing.Any]:
     """Every parameter of the loading as a column, from those that vary and from the scene."""
     loading, found = scene.loading, {}
-    names = [n for n, path in PARAMETERS.items() if path[0] == "loading" and scene.has(n)]
+    names = [n for n, row in PARAMETERS.items() if row.path[0] == "loading" and scene.has(n)]
     filled = [name for name in ("initial_volume", "initial_pressure") if name in loadings]
     for name in names:
-        value = loadings.get(name, getattr(loading, PARAMETERS[name][-1]))
+        value = loadings.get(name, getattr(loading, place_of(name)[-1]))
         if value is None or (filled and name.startswith("initial_") and name not in filled):
             continue
         found[name] = np.broadcast_to(np.asarray(value, float), (count,))

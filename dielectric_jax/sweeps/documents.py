@@ -21,6 +21,8 @@ from ..model import (
     Units,
     VHBBreakdown,
     Window,
+    parameter_of,
+    place_of,
 )
 from ..numerics import LARGEST, check_whole, shown
 from .axes import MOST_VALUES
@@ -34,7 +36,6 @@ _MATERIALS = {
     "mooney-rivlin": MooneyRivlin,
     "ogden": Ogden,
 }
-_LISTS = ("moduli", "exponents")
 #: where the dimensionless numbers of chambers and films lie that occur
 _USUAL = {
     "chamber_volume": (0.1, 1e7),
@@ -113,21 +114,24 @@ def scene_of(given: dict[str, typing.Any], constants: dict[str, typing.Any] | No
     >>> float(scene.loading.pressure), float(scene.membrane.prestretch)
     (1.5, 1.2)
     """
-    names = [n for n, path in PARAMETERS.items() if path[-2] in _PLACES and n != "volume"]
+    names = [n for n, row in PARAMETERS.items() if row.path[-2] in _PLACES and n != "volume"]
     refuse("scene", given, ("material", "breakdown", "stretch_window", "load_window", *names))
     material = one_of("scene", "material", given.get("material", "gent"), _MATERIALS)
     numbers = {
-        n: values("scene", n, v) if n in _LISTS else number("scene", n, v) for n, v in given.items() if n in PARAMETERS
+        n: values("scene", n, v) if parameter_of(n).many else number("scene", n, v)
+        for n, v in given.items()
+        if n in PARAMETERS
     }
     parts: dict[str, dict[str, typing.Any]] = {place: {} for place in _PLACES}
     for name, value in numbers.items():
-        parts[PARAMETERS[name][-2]][PARAMETERS[name][-1]] = value
+        *_, part, field = place_of(name)
+        parts[part][field] = value
     breakdown = given.get("breakdown", "vhb")
     if isinstance(breakdown, str) and breakdown != "vhb":
         raise ValueError(f"`breakdown` in [scene] must be 'vhb' or a field, but is {shown(breakdown)}.")
     field = () if breakdown == "vhb" else (number("scene", "breakdown", breakdown),)
     constants = {} if constants is None else constants
-    refuse("units", constants, [n for n, path in PARAMETERS.items() if path[0] == "units"])
+    refuse("units", constants, [n for n, row in PARAMETERS.items() if row.path[0] == "units"])
     units = Units(**{n: number("units", n, v) for n, v in constants.items()}) if constants else None
     if not field and units is not None:
         parts["breakdown"] |= {n: getattr(units, n) for n in ("shear_modulus", "relative_permittivity")}
@@ -135,7 +139,7 @@ def scene_of(given: dict[str, typing.Any], constants: dict[str, typing.Any] | No
         law = (ConstantBreakdown if field else VHBBreakdown)(*field, **parts["breakdown"])
         film = _MATERIALS[material](**parts["material"])
     except TypeError:
-        own = ", ".join(n for n in numbers if PARAMETERS[n][-2] in ("breakdown", "material"))
+        own = ", ".join(n for n in numbers if place_of(n)[-2] in ("breakdown", "material"))
         raise ValueError(f"`material` and `breakdown` must have the parameters {own}, but one does not.") from None
     membrane = Membrane(film, breakdown=law, **parts["membrane"])
     loading = parts["loading"]

@@ -16,9 +16,10 @@ import zlib
 
 import numpy as np
 
+from ..model import parameter_of
 from ..numerics import Locked, StoreError, alone
 from .axes import Design
-from .variables import PARAMETER_ATTRIBUTES, Variable, described
+from .variables import Variable, described
 
 __all__ = ["Memory", "ZarrStore", "need", "open_group"]
 
@@ -50,7 +51,7 @@ def coordinates_of(design: Design) -> dict[str, tuple[str, np.ndarray, dict]]:
     found: dict = {}
     for axis in design.axes:
         for name, values in axis.columns.items():
-            found[name] = axis.dimension, values, described(*PARAMETER_ATTRIBUTES.get(name, (name, "1")))
+            found[name] = axis.dimension, values, described(parameter_of(name).words, parameter_of(name).unit)
         if axis.dimension not in axis.columns:
             found[axis.dimension] = (
                 axis.dimension,

@@ -15,7 +15,6 @@ from ..model import FoldAhead, Outcome, Regime, State, field_on
 from ..numerics import Code
 
 __all__ = [
-    "PARAMETER_ATTRIBUTES",
     "Answer",
     "Variable",
     "answers_of",
@@ -97,27 +96,6 @@ _QUANTITIES = {
 _ERROR = "bound of the relative error |error|/max(|value|, 1e-3) of the volume and of the squared voltage"
 
 _SI = ("Pa", "m", "F m-1")
-#: attributes of the parameters as coordinates
-PARAMETER_ATTRIBUTES = {
-    "chamber_volume": ("volume of the chamber", "A^3"),
-    "initial_volume": ("filling of the chamber, as a volume", "A^3"),
-    "initial_pressure": ("filling of the chamber, as a pressure", "mu H / A"),
-    "atmospheric_pressure": ("pressure outside", "mu H / A"),
-    "polytropic_exponent": ("polytropic exponent of the gas", "1"),
-    "pressure": ("constant pressure", "mu H / A"),
-    "prestretch": ("stretch of the rim", "1"),
-    "breakdown_field_scale": ("factor of the breakdown field", "1"),
-    "stretch_limit": ("limit J of the Gent material", "1"),
-    "chain_links": ("links of a chain of the eight-chain material", "1"),
-    "c1": ("constant C1 of the Mooney-Rivlin material", "mu"),
-    "c2": ("constant C2 of the Mooney-Rivlin material", "mu"),
-    "thickness_coefficient": ("coefficient of the permittivity by the thickness", "1"),
-    "stretch_coefficient": ("coefficient of the permittivity by the stretches", "1"),
-    "shear_modulus": ("shear modulus", "Pa"),
-    "thickness": ("thickness of the undeformed film", "m"),
-    "radius": ("radius of the undeformed membrane", "m"),
-    "permittivity": ("permittivity of the film", "F m-1"),
-}
 
 
 def described(long_name: str, unit: str, **more) -> dict[str, typing.Any]:

@@ -1,0 +1,160 @@
+"""The table of parameters against the classes that hold them, and every verb that takes parameters by their names."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+import dielectric_jax as dj
+from dielectric_jax.apps.options import read_arguments
+from dielectric_jax.model import PARAMETERS, Change, describe
+from dielectric_jax.model.scene import constants_of
+from dielectric_jax.sweeps import scene_of, zipped
+
+AIR = {"atmospheric_pressure": 40.0, "polytropic_exponent": 1.2}
+FILLED = dj.Chamber(volume=1600.0, initial_volume=2.3, **AIR)
+GENT = dj.Scene(dj.Membrane(dj.Gent(120.0), 1.1, dj.VHBBreakdown(0.9)), FILLED)
+MOONEY = dj.Scene(dj.Membrane(dj.MooneyRivlin(0.48, 0.02)), FILLED)
+OGDEN = dj.Scene(dj.Membrane(dj.Ogden((1.0, 0.02), (1.8, 3.0))), FILLED)
+CHAIN = dj.Scene(dj.Membrane(dj.ArrudaBoyce(80.0)), FILLED)
+DIELECTRIC = dj.Scene(dj.Membrane(dj.Electrostrictive(dj.Gent(120.0), 0.01, -0.02)), FILLED)
+IN_SI = dj.Scene.from_si(
+    dj.Membrane(),
+    dj.Chamber(volume=18e-3, initial_volume=27e-6, atmospheric_pressure=100e3),
+    dj.Units(thickness=0.8e-3),
+)
+# for every parameter a scene that has it, and another value
+CASES = {
+    "chamber_volume": (GENT, 900.0),
+    "initial_volume": (GENT, 2.0),
+    "initial_pressure": (dj.Scene(GENT.membrane, dj.Chamber(volume=1600.0, initial_pressure=1.5, **AIR)), 1.4),
+    "atmospheric_pressure": (GENT, 60.0),
+    "polytropic_exponent": (GENT, 1.4),
+    "pressure": (dj.Scene(GENT.membrane, dj.ConstantPressure(1.5)), 1.6),
+    "volume": (dj.Scene(GENT.membrane, dj.PrescribedVolume(3.0)), 4.0),
+    "prestretch": (GENT, 1.3),
+    "breakdown_field_scale": (GENT, 0.7),
+    "stretch_limit": (GENT, 150.0),
+    "chain_links": (CHAIN, 60.0),
+    "c1": (MOONEY, 0.47),
+    "c2": (MOONEY, 0.03),
+    "moduli": (OGDEN, (1.02, 0.02)),
+    "exponents": (OGDEN, (1.7, 3.2)),
+    "thickness_coefficient": (DIELECTRIC, 0.02),
+    "stretch_coefficient": (DIELECTRIC, -0.01),
+    "shear_modulus": (IN_SI, 60e3),
+    "thickness": (IN_SI, 0.5e-3),
+    "radius": (IN_SI, 20e-3),
+    "permittivity": (IN_SI, 3e-11),
+}
+
+
+def test_every_row_has_a_case_and_every_constant_a_row():
+    assert set(CASES) == set(PARAMETERS)
+    for material in (dj.Gent(), dj.MooneyRivlin(), dj.Ogden(), dj.ArrudaBoyce(), DIELECTRIC.membrane.material):
+        assert set(constants_of(material)) <= set(PARAMETERS)
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_replace_changes_what_the_row_says(name):
+    scene, value = CASES[name]
+    row = PARAMETERS[name]
+    assert scene.has(name)
+    changed = scene.replace(**{name: value})
+    np.testing.assert_allclose(describe(changed)[name], value, rtol=1e-15)
+
+    def differ(part):
+        pairs = zip(jax.tree.leaves(part(scene)), jax.tree.leaves(part(changed)), strict=True)
+        return any(float(a) != float(b) for a, b in pairs)
+
+    assert differ(lambda s: s.membrane.material) == (row.change is Change.MATERIAL)
+    assert differ(lambda s: s.membrane.prestretch) == (row.change is Change.PRESTRETCH)
+    assert differ(lambda s: s.membrane.breakdown) == (row.change is Change.BREAKDOWN)
+    # what follows from it, and nothing else, is another number of the description
+    told = {n: v for n, v in describe(changed).items() if v != describe(scene)[n]}
+    in_si = {"shear_modulus", "thickness", "radius", "permittivity"}
+    assert name in told
+    assert row.name in in_si or set(told) == {name}
+
+
+@pytest.mark.parametrize("name", [n for n in PARAMETERS if CASES[n][0] not in (DIELECTRIC, IN_SI) and n != "volume"])
+def test_documents_give_the_scene_back(name):
+    scene, value = CASES[name]
+    described = describe(scene.replace(**{name: value}))
+    assert describe(scene_of(described)) == described
+
+
+# a field scale and permittivities of stretch are not given on the command line, and units by --si
+NO_OPTIONS = {"breakdown_field_scale", "thickness_coefficient", "stretch_coefficient"}
+
+
+@pytest.mark.parametrize("name", [n for n, r in PARAMETERS.items() if n not in NO_OPTIONS and r.path[0] != "units"])
+def test_options(name):
+    """Every parameter of the command line's scenes is an option, with the bounds of the row."""
+    scene, value = CASES[name]
+    material = describe(scene)["material"]
+    row = PARAMETERS[name]
+    words = [f"{v:g}" for v in np.atleast_1d(value)]
+    loading = {"pressure": [], "volume": [], "chamber_volume": ["--initial-volume", "2"]}.get(name)
+    if loading is None:
+        loading = ["--chamber-volume", "1600", *([] if name.startswith("initial_") else ["--initial-volume", "2"])]
+    option = f"--{name.replace('_', '-')}"
+    more = {"moduli": ["--exponents", "1.8", "3"], "exponents": ["--moduli", "1", "0.02"]}.get(name, [])
+    given = ["voltage-volume", "--material", material, *loading, *more, option, *words]
+    np.testing.assert_allclose(getattr(read_arguments(given), name), value if row.many else float(words[0]))
+    if np.isfinite(row.least):
+        with pytest.raises(Exception, match=option):
+            read_arguments([*given[: -len(words)], f"{row.least - 1:g}"])
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_axes(name):
+    row = PARAMETERS[name]
+    if row.many:
+        with pytest.raises(ValueError, match="its value is a list"):
+            zipped(**{name: [1.0, 2.0]})
+        return
+    assert zipped(**{name: [1.5, 2.5]}).size == 2
+    if np.isfinite(row.least):
+        assert row.allowed
+        with pytest.raises(ValueError, match=f"`{name}` must be {row.allowed} and"):
+            zipped(**{name: [row.least - 0.5, 2.0]})
+    if row.closed:
+        assert zipped(**{name: [row.least]}).size == 1
+    elif row.least == 0:
+        with pytest.raises(ValueError, match=f"`{name}` must be positive"):
+            zipped(**{name: [0.0]})
+
+
+def test_defaults_are_those_of_the_classes():
+    owners = {
+        "atmospheric_pressure": dj.Chamber,
+        "polytropic_exponent": dj.Chamber,
+        "prestretch": dj.Membrane,
+        "breakdown_field_scale": dj.VHBBreakdown,
+        "stretch_limit": dj.Gent,
+        "chain_links": dj.ArrudaBoyce,
+        "c1": dj.MooneyRivlin,
+        "c2": dj.MooneyRivlin,
+    }
+    known = {name: row.default for name, row in PARAMETERS.items() if row.default is not None}
+    assert set(known) == set(owners)
+    for name, owner in owners.items():
+        fields = {f.name: f.default for f in dataclasses.fields(owner)}
+        assert fields[PARAMETERS[name].path[-1]] == known[name]
+
+
+def test_designs_over_a_constant_of_a_material():
+    """Every value has a surface of its own, and each design is what its own diagram says."""
+    found = dj.classify_designs(MOONEY, {"c1": [0.47, 0.49]})
+    scenes = [MOONEY.replace(c1=value) for value in (0.47, 0.49)]
+    assert [dj.Regime(int(r)) for r in found.regime] == [dj.regime_of(scene) for scene in scenes]
+
+
+def test_the_derivative_by_a_constant_of_the_elasticity_of_a_dielectric():
+    """J of the Gent material inside, by central differences."""
+    slope = jax.grad(lambda limit: dj.snap_voltage(DIELECTRIC.replace(stretch_limit=limit)))(120.0)
+    h = 0.05
+    up, down = (dj.snap_voltage(DIELECTRIC.replace(stretch_limit=120.0 + s * h)) for s in (1, -1))
+    np.testing.assert_allclose(slope, (up - down) / (2 * h), rtol=1e-6)
