@@ -116,11 +116,8 @@ def _add_parameter(group, name: str, of: str = "", value: float | None = None) -
     )
 
 
-def _parser() -> Parser:
-    parser = Parser(prog=PROGRAM, description=_DESCRIPTION)
-    parser.add_argument("--version", action="version", version=f"{PROGRAM} {_version()}")
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-
+def _common() -> Parser:
+    """The options of every command about one membrane: the membrane, its units, and the answer."""
     common = Parser(add_help=False)
     group = common.add_argument_group("membrane")
     group.add_argument("--material", choices=list(MATERIAL_CONSTANTS), default="gent", help="free energy (gent)")
@@ -146,7 +143,10 @@ def _parser() -> Parser:
     group.add_argument(
         "--load-window", type=_finite, nargs=2, metavar=("A", "B"), help="window of the load q/q_max (-1 1)"
     )
+    return common
 
+
+def _add_equilibrium(commands, common: Parser) -> None:
     one = commands.add_parser("equilibrium", parents=[common], help="single states", description=_DESCRIPTION)
     one.add_argument("--voltage", type=_not_negative, default=0.0, metavar="PHI", help="voltage (0)")
     given = one.add_mutually_exclusive_group(required=True)
@@ -155,6 +155,8 @@ def _parser() -> Parser:
     given.add_argument("--apex-stretch", type=_positive, metavar="L", help="prescribed stretch of the apex")
     one.add_argument("--all", action="store_true", help="every state in the window, not only that of smallest volume")
 
+
+def _add_pressure_volume(commands, common: Parser) -> None:
     curve = commands.add_parser(
         "pressure-volume", parents=[common], help="curves at fixed voltage", description=_DESCRIPTION
     )
@@ -162,6 +164,8 @@ def _parser() -> Parser:
         "--voltage", type=_not_negative, nargs="+", action="extend", metavar="PHI", help="one or more voltages (0)"
     )
 
+
+def _add_voltage_volume(commands, common: Parser) -> None:
     scene = commands.add_parser(
         "voltage-volume", parents=[common], help="the diagram of a loading", description=_DESCRIPTION
     )
@@ -179,6 +183,9 @@ def _parser() -> Parser:
     scene.add_argument(
         "--engine", choices=["continuation", "surface"], default="continuation", help="how it is computed"
     )
+
+
+def _add_paper(commands) -> None:
     paper = commands.add_parser(
         "paper",
         help="the computed figures of Li et al. (2013), and its statements beside what the equations give",
@@ -189,6 +196,8 @@ def _parser() -> Parser:
     )
     paper.add_argument("--only", nargs="+", action="extend", metavar="FIGURE", help="numbers of figures (all)")
 
+
+def _add_sweep(commands) -> None:
     many = commands.add_parser("sweep", help="many scenes, kept in a store", description=_DESCRIPTION)
     many.add_argument("specification", metavar="SPEC.toml", help="which scenes, and with which engine")
     many.add_argument("--output", metavar="STORE.zarr", required=True, help="the store, written block by block")
@@ -202,6 +211,8 @@ def _parser() -> Parser:
         "--json", metavar="FILE|-", help="write a summary as JSON to a file, or to standard output with -"
     )
 
+
+def _add_calibrate(commands, common: Parser) -> None:
     fit = commands.add_parser(
         "calibrate", parents=[common], help="constants of a measured pressure–volume curve", description=_DESCRIPTION
     )
@@ -222,11 +233,27 @@ def _parser() -> Parser:
     fit.add_argument("--noise", type=_positive, metavar="P", help="standard deviation of a pressure (from residuals)")
     fit.add_argument("--level", type=_share, default=0.95, metavar="P", help="of the confidence intervals (0.95)")
 
+
+def _add_designs(commands) -> None:
     for name, what in (("regimes", "a map of two parameters"), ("optimise", "the design of largest area strain")):
         asked = commands.add_parser(name, help=what, description=_DESCRIPTION)
         asked.add_argument("specification", metavar="SPEC.toml", help="scene, ranges and wishes")
         asked.add_argument("--json", metavar="FILE|-", help="write JSON to a file, or to standard output with -")
         asked.add_argument("--figure", metavar="FILE", help=f"draw a figure ({', '.join(_FIGURE_SUFFIXES)})")
+
+
+def _parser() -> Parser:
+    parser = Parser(prog=PROGRAM, description=_DESCRIPTION)
+    parser.add_argument("--version", action="version", version=f"{PROGRAM} {_version()}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    common = _common()
+    _add_equilibrium(commands, common)
+    _add_pressure_volume(commands, common)
+    _add_voltage_volume(commands, common)
+    _add_paper(commands)
+    _add_sweep(commands)
+    _add_calibrate(commands, common)
+    _add_designs(commands)
     return parser
 
 
