@@ -28,6 +28,42 @@ class Optimum(typing.NamedTuple):
     scene: Scene
 
 
+def _climb(both: Callable, low: np.ndarray, high: np.ndarray, start: np.ndarray, limits: int, size: float) -> dict:
+    """SLSQP from a design: the values and slopes of all that it met, by the bytes of the design in [0, 1]; None where NaN.
+
+    `both(x)` gives the objective and the constraints, and their derivatives; `size` is that of the objective.
+    """
+    seen: dict = {}
+
+    def at(z):
+        key = z.tobytes()
+        if key not in seen:
+            value, slope = (np.asarray(v) for v in both(low + z * (high - low)))
+            good = np.isfinite(value).all() and np.isfinite(slope).all()
+            seen[key] = (value, slope * (high - low)) if good else None
+        return seen[key]
+
+    def value_of(z, rows):
+        found = at(z)
+        return np.full(limits + 1, -size)[rows] if found is None else found[0][rows]
+
+    def slope_of(z, rows):
+        found = at(z)
+        return np.zeros((limits + 1, len(z)))[rows] if found is None else found[1][rows]
+
+    own = {"type": "ineq", "fun": lambda z: value_of(z, slice(1, None)), "jac": lambda z: slope_of(z, slice(1, None))}
+    scipy.optimize.minimize(
+        lambda z: -value_of(z, 0),
+        (start - low) / (high - low),
+        jac=lambda z: -slope_of(z, 0),
+        method="SLSQP",
+        bounds=[(0.0, 1.0)] * len(low),
+        constraints=[own] if limits else [],
+        options={"ftol": 1e-13 * size / _FAILED, "maxiter": 80},
+    )
+    return seen
+
+
 def maximise(
     objective: Callable, scene: Scene, over: dict, *, constraints: dict[str, Callable] | None = None
 ) -> Optimum:
@@ -68,38 +104,7 @@ def maximise(
     order = np.lexsort((-values[:, 0], -np.minimum(values[:, 1:].min(axis=1, initial=0.0), 0.0)))
     best: tuple | None = None
     for start in grid[[k for k in order if known[k]][:_STARTS]]:
-        seen: dict = {}
-
-        def at(z, seen=seen):
-            key = z.tobytes()
-            if key not in seen:
-                value, slope = (np.asarray(v) for v in both(low + z * (high - low)))
-                good = np.isfinite(value).all() and np.isfinite(slope).all()
-                seen[key] = (value, slope * (high - low)) if good else None
-            return seen[key]
-
-        def value_of(z, rows, at=at):
-            found = at(z)
-            return np.full(len(limits) + 1, -size)[rows] if found is None else found[0][rows]
-
-        def slope_of(z, rows, at=at):
-            found = at(z)
-            return np.zeros((len(limits) + 1, len(z)))[rows] if found is None else found[1][rows]
-
-        own = {
-            "type": "ineq",
-            "fun": lambda z: value_of(z, slice(1, None)),
-            "jac": lambda z: slope_of(z, slice(1, None)),
-        }
-        scipy.optimize.minimize(
-            lambda z: -value_of(z, 0),
-            (start - low) / (high - low),
-            jac=lambda z: -slope_of(z, 0),
-            method="SLSQP",
-            bounds=[(0.0, 1.0)] * len(axes),
-            constraints=[own] if limits else [],
-            options={"ftol": 1e-13 * size / _FAILED, "maxiter": 80},
-        )
+        seen = _climb(both, low, high, start, len(limits), size)
         for key, found in seen.items():
             if found is None or found[0][1:].min(initial=0.0) <= -1e-9:
                 continue
