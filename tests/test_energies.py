@@ -1,5 +1,6 @@
 """Energies written by a user: what is refused and how, constants by name, and the window of a material that stiffens."""
 
+import dataclasses
 import inspect
 import math
 import re
@@ -232,10 +233,12 @@ def test_a_branch_that_is_not_followed_to_its_end_is_not_complete(monkeypatch):
 def test_the_advice_of_codes_names_what_there_is():
     """Names between backticks are parameters of something public, or public; windows and tolerances are options too."""
     known = set(dj.__all__)
-    for name in dj.__all__:
-        public = getattr(dj, name)
-        if callable(public):
-            known |= set(inspect.signature(public).parameters)
+    faces = [getattr(dj, name) for name in dj.__all__ if inspect.ismodule(getattr(dj, name))]
+    for face in (dj, *faces):
+        known |= set(face.__all__)
+        for public in (getattr(face, name) for name in face.__all__):
+            if inspect.isfunction(public) or dataclasses.is_dataclass(public):
+                known |= set(inspect.signature(public).parameters)
     options = vars(read_arguments(["equilibrium", "--volume", "1"]))
     for code in Code:
         for name in re.findall(r"`(\w+)", code.sentence):
