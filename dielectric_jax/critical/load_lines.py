@@ -38,7 +38,7 @@ class Line:
         apex = rim + (high - rim) * stretch_shares(1e-6, _NODES)
         t = self.q / largest_load(membrane.material, apex)
         p, v, slope = map_nodes(membrane.material, apex, np.clip(t, -20, _MOST_LOAD), rim, _STEPS)
-        good = np.isfinite(p) & np.isfinite(v) & (slope < 0) & (t < _MOST_LOAD) & (p > 0)
+        good = np.isfinite(p) & np.isfinite(v) & (slope < 0) & (t < _MOST_LOAD) & (p > 0) & (v > 0)
         # one piece: the longest run of nodes
         ends = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(int), [0]])))
         runs = ends.reshape(-1, 2)
