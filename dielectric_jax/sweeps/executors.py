@@ -5,6 +5,7 @@ The process that asked hands out blocks and keeps what comes back; workers only 
 
 import concurrent.futures
 import contextlib
+import gc
 import multiprocessing
 import os
 import signal
@@ -92,6 +93,9 @@ def executor_of(what) -> Iterator[_Processes | _Given]:
         own = _Processes(what)
     elif isinstance(what, str):
         distributed = need("distributed", extra="distributed")
+        # a client that met no scheduler is closed when it is collected, which must not happen while the next one starts:
+        # both hold the lock of distributed's loop
+        gc.collect()
         try:
             client = distributed.Client(what, timeout="10s", set_as_default=False)
         except (OSError, ValueError, TimeoutError):
