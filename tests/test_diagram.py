@@ -2,11 +2,13 @@
 
 import json
 import math
+import types
 
 import numpy as np
 import pytest
 
 import dielectric_jax as dj
+from dielectric_jax.diagram import diagrams
 from dielectric_jax.model.chart import explicit_map
 
 SCENES = {
@@ -588,3 +590,14 @@ def test_small_voltages_shrink_everything_at_the_flat_end(curve, voltage):
     assert branch.start is dj.Code.apex_cone and branch.end is dj.Code.lock_up
     fraction = branch.voltage_squared[0] / (6 * (branch.apex_stretch[0] - 1))
     assert 0.88 < fraction < 1
+
+
+def test_branches_with_states_whose_index_is_not_valid(monkeypatch):
+    """Such an index is -1 in the column and null in JSON."""
+    known = dict.fromkeys(("voltage_squared", "pressure", "volume", "apex_stretch", "height", "charge"), 1.0)
+    states = [dj.model.State(**known, breakdown_ratio=1.0, index=index, error_estimate=1e-12) for index in (0, None, 2)]
+    monkeypatch.setattr(diagrams, "states_of", lambda points, tolerance: states)
+    curve = types.SimpleNamespace(points=np.zeros(3), start=dj.Code.ok, end=dj.Code.ok, flags=())
+    branch = diagrams._branch(curve, 1e-9, 256, ())
+    assert branch.index.tolist() == [0, -1, 2]
+    assert branch.to_json()["index"] == [0, None, 2]

@@ -193,7 +193,7 @@ def _branch(curve: Curve, tolerance: float, points: int, more_flags: tuple) -> B
         chosen = np.unique(np.linspace(0, len(chosen) - 1, points).round().astype(int))
     states = states_of(curve.points.take(chosen), tolerance)
     columns = {f: np.array([getattr(s, f) for s in states]) for f in State.__dataclass_fields__ if f != "flags"}
-    columns["index"] = columns["index"].astype(int)
+    columns["index"] = np.array([-1 if s.index is None else s.index for s in states])
     return Branch(**columns, start=curve.start, end=curve.end, flags=curve.flags + more_flags)
 
 
@@ -330,7 +330,7 @@ def _flat_diagram(scene: Scene, limits, points: int, tolerance: float) -> Diagra
     loads = np.linspace(low, min(high, 1.0), points) * slack
     states = [flat_state(membrane, float(q)) for q in loads]
     columns = {f: np.array([getattr(s, f) for s in states]) for f in State.__dataclass_fields__ if f != "flags"}
-    columns["index"] = columns["index"].astype(int)
+    columns["index"] = np.array([-1 if s.index is None else s.index for s in states])
     ends_slack = high >= 1.0
     branch = Branch(
         **columns, start=Code.window_load, end=Code.window_load, flags=("ends_slack",) if ends_slack else ()

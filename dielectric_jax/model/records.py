@@ -126,6 +126,7 @@ class Branch:
 
     `flags` lists what a reader must know of the branch as a whole: "error_above_tolerance"; "points_lost", a gap between
     stations; "end_lost", an end inside the scanned window that was not reached; "special_point_lost", a special point that is bracketed but was not met.
+    `index` is -1 where it is not valid.
     """
 
     voltage_squared: np.ndarray
