@@ -3,16 +3,15 @@
 A scene is asked by its whole diagram (`voltage_volume`), by continuation side by side (`continue_scenes`), on the surface
 (`chamber_ramps`, `pressure_ramps`), at a glance, in sweeps with both engines, and by `classify_designs`. Two ways disagree
 where both are definite and the regimes differ, or the squared voltages of snap and breakdown differ by more than 1e-6
-(relative, as error estimates are: of max(Φ², 1e-3)). "not_decided"
-and an error in a sentence are no answers. Scenes: Gent J 5–1000, neo-Hookean, Mooney–Rivlin, Ogden, eight-chain,
+of max(Φ², 1e-3), as error estimates are measured. "not_decided" and an error in a sentence are no answers. Scenes: Gent J 5–1000, neo-Hookean, Mooney–Rivlin, Ogden, eight-chain,
 electrostrictive; prestretch 1–4; V_0 from 0.1 to 1.6 of the volume at the peak of the pressure, or a pressure p_0 up to that
 peak; V_C 0.02–25 000, p_atm 0–1000, polytropic exponents 1 and 1.4; every sixth scene at constant pressure.
 
 A share of the scenes, and every scene whose answers differ, is asked by its whole diagram and by `classify_designs` too: the
 two that decide nearly every scene, and that cost the most.
 
-    python -m benchmarks.acceptance.one_answer [--scenes 10000] [--minutes M] [--each 10] [--share 0.1] [--kinds NAME,…] [--seed 0]
-                                    [--json FILE|-] [--quick]
+    python -m benchmarks.acceptance.one_answer [--scenes 10000] [--minutes M] [--each 10] [--share 0.1] [--kinds NAME,…]
+                                               [--seed 0] [--json FILE|-] [--quick]
 """
 
 import argparse
