@@ -253,14 +253,14 @@ def main() -> int:
     parser.add_argument("--scenes", type=int, default=1000)
     parser.add_argument("--block", type=int, default=25, help="scenes between two lines")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--ways", nargs="+", choices=list(WAYS), help="only these, of every scene")
+    parser.add_argument("--ways", nargs="+", choices=list(WAYS), help="only these")
     parser.add_argument("--json", metavar="FILE", help='"-" is standard output')
     parser.add_argument("--quick", action="store_true", help="4 scenes of Gent films, curves and diagrams only")
     options = parser.parse_args()
     scenes, block = (4, 2) if options.quick else (options.scenes, options.block)
     ways = {w: WAYS[w] for w in ("curve", "diagram")} if options.quick else WAYS
     if options.ways:
-        ways = {w: (1, WAYS[w][1]) for w in options.ways}
+        ways = {w: WAYS[w] for w in options.ways}
     dj.enable_compilation_cache()
     random = np.random.default_rng(options.seed)
     print(f"seed {options.seed}, {scenes} scenes", file=sys.stderr)
