@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import dielectric_jax as dj
-from dielectric_jax.diagram.beyond import _field_of as scan_field
+from dielectric_jax.diagram.landings import _field_of as scan_field
 from dielectric_jax.model.chart import cached_scan, scan
 from dielectric_jax.model.materials import largest_load
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import dielectric_jax as dj
-from dielectric_jax.design.column_heads import unit_size
+from dielectric_jax.design.column_names import unit_size
 from dielectric_jax.design.measurements import runs_of
 
 # ml and kPa, rounded as a file would have them; below 1, about 1 and above 1000 in pascals

@@ -8,7 +8,6 @@ import pytest
 
 import dielectric_jax as dj
 from benchmarks.acceptance.one_answer import OPEN, asked_in_every_way, disagree
-from dielectric_jax.diagram import beyond
 from dielectric_jax.model.outcomes import FoldAhead
 
 FILM = dj.Membrane()

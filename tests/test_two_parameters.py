@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import dielectric_jax as dj
-from dielectric_jax.critical import fold_paths
+from dielectric_jax.critical import fold_continuation
 
 matplotlib.use("Agg")
 
@@ -129,7 +129,7 @@ def test_a_fold_at_breakdown_lies_on_both_curves(over_volume):
 
 def test_the_error_of_a_point_covers_its_parameter_and_its_load(over_pressure, monkeypatch):
     """Against shots of 320 steps everywhere."""
-    monkeypatch.setattr(fold_paths, "_GRIDS", ((240.0, 320.0),) * 3)
+    monkeypatch.setattr(fold_continuation, "_GRIDS", ((240.0, 320.0),) * 3)
     scene, within = over_pressure.scene, (1.45, 1.47)
     exact = dj.fold_curves(scene, "pressure", within, kinds=("fold",), samples=2)
     assert [p.kind for p in exact.points] == ["merger"]
@@ -143,7 +143,7 @@ def test_the_error_of_a_point_covers_its_parameter_and_its_load(over_pressure, m
 @pytest.mark.parametrize("steps", [12.0, 24.0])
 def test_the_filling_is_of_the_grid_it_is_asked_for(steps):
     """So what the coarser of two grids misses of the filling is in Newton's moves from one to the other."""
-    conditions = fold_paths.ConditionsOver(chamber(), "chamber_volume")
+    conditions = fold_continuation.ConditionsOver(chamber(), "chamber_volume")
     coarse, fine = (float(conditions.at(1600.0, s)[0].contour.initial_pressure) for s in (steps, 320.0))
     held = dj.equilibrium(dj.Membrane(), voltage=0.0, volume=2.42, tolerance=1e-12)
     assert abs(fine / float(held.pressure) - 1) < 1e-12

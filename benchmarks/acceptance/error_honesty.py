@@ -17,7 +17,7 @@ import numpy as np
 import dielectric_jax as dj
 from benchmarks.harness import machine, write
 from benchmarks.truth import extended_precision as truth
-from dielectric_jax.model.equations import polish
+from dielectric_jax.model.corrector import polish
 from dielectric_jax.model.loading import Contour
 
 jax.config.update("jax_enable_x64", True)

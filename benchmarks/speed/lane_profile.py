@@ -22,7 +22,7 @@ import dielectric_jax as dj
 from benchmarks.harness import machine, write
 from benchmarks.speed.shots import MATERIAL, States, seconds_of
 from benchmarks.truth import chambers
-from dielectric_jax.diagram import batch, crowd, lanes
+from dielectric_jax.diagram import batch
 from dielectric_jax.model.shooting import COLUMNS, integrate_membrane
 from dielectric_jax.numerics.compiled import kept_jit
 

@@ -29,9 +29,8 @@ from ..model import (
 )
 from ..numerics import Code, SceneError
 from ..surface import Surface
-from .engines import AbstractEngine, ByShooting, OnSheet
-from .leaves import Scenes
-from .points import (
+from .host_scenes import Scenes
+from .point_systems import (
     BREAKDOWN,
     FOLD,
     LEVEL,
@@ -42,6 +41,7 @@ from .points import (
     attach,
     attach_free,
 )
+from .rim import AbstractEngine, ByShooting, OnSheet
 from .searches import first_folds, first_folds_on_surface, guarded, ramp_events
 
 __all__ = [

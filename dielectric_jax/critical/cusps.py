@@ -12,9 +12,9 @@ from ..diagram import filling
 from ..model import Chamber, ConstantPressure, ConstantVoltage, Membrane, Scene
 from ..numerics import Code, SceneError
 from .critical_points import CriticalPoint, engine_of, find, point_of, start_of
-from .load_lines import chamber_cusps, leaf_of, none, onset, pressure_extremes, zero_states
-from .load_lines import pressure_cusp as find_pressure_cusp
-from .points import CUSP, LEVEL, ONSET, PRESSURE_CUSP, PRESSURE_FOLD, Conditions, attach, attach_free
+from .fixed_load import chamber_cusps, leaf_of, none, onset, pressure_extremes, zero_states
+from .fixed_load import pressure_cusp as find_pressure_cusp
+from .point_systems import CUSP, LEVEL, ONSET, PRESSURE_CUSP, PRESSURE_FOLD, Conditions, attach, attach_free
 
 __all__ = [
     "bistability_onset",

@@ -27,9 +27,9 @@ from ..diagram import (
 from ..model import SCALE, ConstantVoltage, Outcome, Scene, State, locking_stretch
 from ..numerics import Code, SceneError, Steps, advance, begin, kept_jit
 from ..surface import Surface
-from .engines import ByShooting, towers
-from .leaves import Scenes
-from .points import FOLD, Conditions, correction
+from .host_scenes import Scenes
+from .point_systems import FOLD, Conditions, correction
+from .rim import ByShooting, towers
 
 __all__ = ["EVENTS", "first_folds", "first_folds_on_surface", "ramp_events"]
 

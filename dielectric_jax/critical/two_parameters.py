@@ -20,8 +20,8 @@ from ..diagram import hermite, pressure_volume, voltage_volume
 from ..model import SCALE, Chamber, ConstantPressure, ConstantVoltage, Scene, pair, plain
 from ..numerics import SceneError
 from ..plot import plot_fold_curves
-from .fold_paths import LARGEST_LOAD, ConditionsOver, Followed, Lost, Place, System, follow
-from .points import BREAKDOWN, FOLD, PRESSURE_FOLD
+from .fold_continuation import LARGEST_LOAD, ConditionsOver, Followed, Lost, Place, System, follow
+from .point_systems import BREAKDOWN, FOLD, PRESSURE_FOLD
 
 __all__ = ["FoldCurve", "FoldCurves", "TwoParameterPoint", "fold_curves"]
 

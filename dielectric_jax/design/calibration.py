@@ -13,9 +13,9 @@ from scipy.stats import t as student
 
 from ..model import ConstantBreakdown, Membrane, Units, VHBBreakdown
 from ..numerics import check_positive
-from .constants import sought_constants
 from .curve_model import LEAST_VOLUME, CurveModel
 from .fit_checks import check_determined, check_intervals, check_optimal, looks_absolute, misfit_warnings
+from .material_constants import sought_constants
 from .measurements import BELOW_ZERO, runs_of
 
 __all__ = ["Calibration", "calibrate"]

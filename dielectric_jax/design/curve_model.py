@@ -14,7 +14,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from ..model import Membrane, explicit_map
-from .constants import as_arrays, check_membrane, constants_of, value_of, with_constants
+from .material_constants import as_arrays, check_membrane, constants_of, value_of, with_constants
 
 __all__ = ["LEAST_VOLUME", "CurveModel"]
 

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.optimize
 
 from ..model import Scene
-from .climbing import axis_of
+from .constrained_search import axis_of
 from .regime_maps import even
 
 __all__ = ["Optimum", "maximise"]

@@ -8,7 +8,7 @@ import pathlib
 import re
 from collections.abc import Iterator, Sequence
 
-from .column_heads import Head, is_absolute, names_text, read_head, unit_size
+from .column_names import Head, is_absolute, names_text, read_head, unit_size
 
 __all__ = ["NUMBER", "QUANTITIES", "Line", "Table", "bare", "full", "split", "table_of"]
 

@@ -1,5 +1,12 @@
 from .batch import Batch, ByLeaves, columns_of, continue_scenes, contour_of, starts
-from .chambers import (
+from .diagrams import Diagram, pressure_volume, voltage_volume
+from .glances import Glance, glance
+from .mesh import hermite
+from .ramp import ENDS
+from .regimes import regime_of, regime_of_diagram
+from .scene_batch import Crowd
+from .states import check_request, equilibrium, filling
+from .surface_ramps import (
     Curves,
     Point,
     Ramps,
@@ -14,13 +21,6 @@ from .chambers import (
     pressure_ramps,
     ramps_of,
 )
-from .crowd import Crowd
-from .diagrams import Diagram, pressure_volume, voltage_volume
-from .glances import Glance, glance
-from .ramp import ENDS
-from .regimes import regime_of, regime_of_diagram
-from .states import check_request, equilibrium, filling
-from .stations import hermite
 from .tracing import branch_problem
 
 __all__ = [

@@ -32,14 +32,14 @@ from ..model import (
     stretch_shares,
 )
 from ..numerics import Code
-from .assembly import RampColumns, assemble, ramps_on_lines
-from .beyond import Landing, folds_ahead, landings
-from .chambers import Ramps, ramps_of
-from .crowd import LANES, Crowd, Met, calls, padded, pick
-from .lanes import LEVEL, VOLUME, march_program, new_walks
+from .batch_programs import LEVEL, VOLUME, march_program, new_walks
+from .batch_ramps import RampColumns, assemble, ramps_on_lines
+from .landings import Landing, folds_ahead, landings
 from .other_branches import have_others
 from .polylines import Polylines
+from .scene_batch import LANES, Crowd, Met, calls, padded, pick
 from .states import check_request
+from .surface_ramps import Ramps, ramps_of
 
 __all__ = ["Batch", "columns_of", "continue_scenes", "contour_of", "starts"]
 

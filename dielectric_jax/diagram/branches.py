@@ -22,8 +22,8 @@ from ..model import (
     map_nodes,
 )
 from ..numerics import Code
-from .contours import OnSurface, margins, surface_branches
-from .stations import Curve, clip_to_window, exact_curve, hermite, scaled
+from .mesh import Curve, clip_to_window, exact_curve, hermite, scaled
+from .surface_contours import OnSurface, margins, surface_branches
 from .tracing import run_trace, run_traces
 
 __all__ = ["find_curves"]

@@ -37,7 +37,7 @@ from ..numerics import Code, SceneError
 from ..plot import plot_diagram
 from ..surface import Surface
 from .branches import find_curves
-from .contours import OnSurface
+from .mesh import Curve
 from .ramp import build_ramp, build_way_back, flat_ramp
 from .solved import Solved, special_record
 from .special_points import fold_events, special_points
@@ -51,7 +51,7 @@ from .states import (
     too_flat,
 )
 from .states import filling as filling_of
-from .stations import Curve
+from .surface_contours import OnSurface
 from .tracing import warm_up
 
 __all__ = ["Diagram", "pressure_volume", "voltage_volume"]

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..model import SCALE, Points
-from .stations import Curve
+from .mesh import Curve
 
 __all__ = ["FOLDS", "brackets", "control_line", "event_values"]
 

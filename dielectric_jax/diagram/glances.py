@@ -30,8 +30,8 @@ from ..model import (
 from ..numerics import Code, SceneError, kept_jit
 from ..plot import plot_diagram
 from ..surface import ById, Rows, Surface, rows_of
-from .chambers import Curves, Ramps, curves_and_ramps, filling_volumes
 from .states import check_concrete, check_surface
+from .surface_ramps import Curves, Ramps, curves_and_ramps, filling_volumes
 
 __all__ = ["Glance", "glance"]
 

@@ -8,8 +8,8 @@ import jax
 import numpy as np
 
 from ..model import SCALE, ConstantVoltage, Membrane, Scene, cached_scan
-from .crowd import Crowd, pick
 from .polylines import Polylines
+from .scene_batch import Crowd, pick
 
 __all__ = ["have_others"]
 

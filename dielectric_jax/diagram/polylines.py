@@ -7,7 +7,7 @@ import dataclasses
 
 import numpy as np
 
-from .stations import hermite
+from .mesh import hermite
 
 __all__ = ["Places", "Polylines"]
 

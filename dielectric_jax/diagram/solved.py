@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 
 from ..model import Shooting, SpecialPoint, State
-from .contours import OnSurface
 from .events import FOLDS, brackets
+from .mesh import Curve
 from .special_points import Located, loads_beside_folds, locate
 from .states import states_of
-from .stations import Curve
+from .surface_contours import OnSurface
 
 __all__ = ["Solved", "special_record"]
 

@@ -13,9 +13,9 @@ import numpy as np
 from scipy.optimize import root_scalar
 
 from ..model import SCALE, Points
-from .contours import OnSurface
 from .events import FOLDS, brackets, control_line, event_values
-from .stations import Curve, between, hermite, scaled, solve_between
+from .mesh import Curve, between, hermite, scaled, solve_between
+from .surface_contours import OnSurface
 
 __all__ = ["Located", "fold_events", "loads_beside_folds", "locate", "special_points"]
 

@@ -1,7 +1,5 @@
 from .chart import LOAD_PANELS, Scan, cached_scan, explicit_map, map_nodes, stretch_shares
-from .elastomers import CustomPermittivity, Electrostrictive, MooneyRivlin, Ogden
-from .energies import require_float64
-from .equations import (
+from .corrector import (
     CONTRACTION,
     LADDERS,
     LEAST_ESTIMATE,
@@ -14,6 +12,8 @@ from .equations import (
     locking_stretch,
     polish,
 )
+from .elastomers import CustomPermittivity, Electrostrictive, MooneyRivlin, Ogden
+from .energies import require_float64
 from .loading import (
     Chamber,
     ChargeControl,

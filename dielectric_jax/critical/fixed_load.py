@@ -16,8 +16,8 @@ from scipy.optimize import brentq
 from ..diagram import ByLeaves
 from ..model import SCALE, Chamber, ConstantVoltage, Contour, Membrane, largest_load, map_nodes, stretch_shares
 from ..numerics import Code
-from .engines import ByShooting
-from .points import CUSP, LEVEL, ONSET, PRESSURE_CUSP, PRESSURE_FOLD, Conditions, correction
+from .point_systems import CUSP, LEVEL, ONSET, PRESSURE_CUSP, PRESSURE_FOLD, Conditions, correction
+from .rim import ByShooting
 
 __all__ = ["chamber_cusps", "onset", "pressure_cusp", "pressure_extremes", "settle", "zero_states"]
 

@@ -26,8 +26,8 @@ from ..model import (
     map_nodes,
 )
 from ..surface import ById
-from .crowd import Crowd, Met, pick
-from .lanes import LEVEL
+from .batch_programs import LEVEL
+from .scene_batch import Crowd, Met, pick
 
 __all__ = ["Landing", "Landings", "folds_ahead", "landings"]
 

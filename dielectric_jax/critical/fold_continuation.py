@@ -25,9 +25,9 @@ from ..model import (
 )
 from ..numerics import SceneError, kept_jit
 from .critical_points import Found, find, start_of
-from .engines import ByShooting
-from .load_lines import zero_states
-from .points import BREAKDOWN, PRESSURE, PRESSURE_FOLD, VOLUME, Conditions, Solution, linearised
+from .fixed_load import zero_states
+from .point_systems import BREAKDOWN, PRESSURE, PRESSURE_FOLD, VOLUME, Conditions, Solution, linearised
+from .rim import ByShooting
 
 __all__ = ["LARGEST_LOAD", "ConditionsOver", "Followed", "Lost", "Place", "System", "follow"]
 

@@ -6,9 +6,9 @@ import typing
 import numpy as np
 
 from ..model import SCALE, SCANNED_LOAD, FoldAhead, Outcome
-from .crowd import Crowd, Met
-from .lanes import BREAKDOWN, LEVEL
+from .batch_programs import BREAKDOWN, LEVEL
 from .polylines import Places, Polylines
+from .scene_batch import Crowd, Met
 
 __all__ = ["Assembly", "Events", "assemble", "ramps_on_lines"]
 

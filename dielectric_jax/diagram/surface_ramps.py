@@ -17,10 +17,10 @@ import numpy as np
 from ..model import Chamber, ConstantPressure, Contour, FoldAhead, Outcome, locking_stretch, regimes_of, threads
 from ..numerics import check_positive, kept_jit
 from ..surface import ROWS, ById, Conditions, Rows, Surface, crossings, rows_of
-from .beyond import Landing, folds_ahead, landings
-from .crowd import Crowd
-from .marks import LEVEL, ContourOnRows, Events, first_place
-from .ramp_on_rows import polish_program, ramp_program, snap_program
+from .landings import Landing, folds_ahead, landings
+from .row_points import LEVEL, ContourOnRows, Events, first_place
+from .row_ramp import polish_program, ramp_program, snap_program
+from .scene_batch import Crowd
 
 __all__ = [
     "Curves",

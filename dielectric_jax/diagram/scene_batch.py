@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 from ..model import CONTRACTION, SCALE, Contour, Membrane, difficulty
-from .lanes import FOLD, limits_program, meet_program
+from .batch_programs import FOLD, limits_program, meet_program
 
 __all__ = ["LANES", "Crowd", "Met"]
 

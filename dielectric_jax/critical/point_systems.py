@@ -23,7 +23,7 @@ from jaxtyping import Array, Float
 
 from ..model import Contour, Membrane, field_ratio_squared
 from ..numerics import kept_jit
-from .engines import AbstractEngine, entries, perturbed, towers
+from .rim import AbstractEngine, entries, perturbed, towers
 
 __all__ = [
     "Conditions",

@@ -10,7 +10,7 @@ import numpy as np
 from ..model import Outcome
 from ..numerics import kept_jit
 from ..surface import ROWS, Conditions, Rows, Surface
-from .marks import BREAKDOWN, FOLD, LEVEL, ContourOnRows, Events, Marks, first_place, last_place, meet_on_surface
+from .row_points import BREAKDOWN, FOLD, LEVEL, ContourOnRows, Events, Marks, first_place, last_place, meet_on_surface
 
 __all__ = ["polish_program", "ramp_program", "snap_program"]
 
