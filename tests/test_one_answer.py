@@ -8,6 +8,7 @@ import pytest
 
 import dielectric_jax as dj
 from benchmarks.acceptance.one_answer import OPEN, asked_in_every_way, disagree
+from dielectric_jax.diagram import landings
 from dielectric_jax.model.outcomes import FoldAhead
 
 FILM = dj.Membrane()
@@ -80,7 +81,7 @@ def test_a_hole_in_the_scan_leaves_a_landing_undecided(monkeypatch):
     """Where the scan lacks states beyond the fold, "no landing" cannot be concluded from it."""
     scene = dj.Scene(FILM, dj.Chamber(0.02, initial_volume=3.3))
     assert dj.continue_scenes([scene]).ramps.regime[0] == dj.Regime.no_landing
-    whole = beyond.cached_scan
+    whole = landings.cached_scan
 
     def holed(*args):
         found = whole(*args)
@@ -88,7 +89,7 @@ def test_a_hole_in_the_scan_leaves_a_landing_undecided(monkeypatch):
         pressure[np.abs(found.apex_stretch - 5.0) < 0.5] = np.nan
         return dataclasses.replace(found, pressure=pressure)
 
-    monkeypatch.setattr(beyond, "cached_scan", holed)
+    monkeypatch.setattr(landings, "cached_scan", holed)
     assert dj.continue_scenes([scene]).ramps.regime[0] == dj.Regime.not_decided
 
 
@@ -106,7 +107,7 @@ def test_folds_ahead_at_the_edge_of_the_scanned_window():
         (turns, 0.2716179262155624, 4.029230, 0.0766268942, {FoldAhead.fold, FoldAhead.unknown}),
     ):
         contour = jax.tree.map(np.atleast_1d, air.contour(pressure, air.initial_volume))
-        found = beyond.folds_ahead(film, contour, np.array([apex]), np.array([load]))
+        found = landings.folds_ahead(film, contour, np.array([apex]), np.array([load]))
         assert FoldAhead(found[0]) in known
 
 

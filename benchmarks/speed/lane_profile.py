@@ -22,7 +22,7 @@ import dielectric_jax as dj
 from benchmarks.harness import machine, write
 from benchmarks.speed.shots import MATERIAL, States, seconds_of
 from benchmarks.truth import chambers
-from dielectric_jax.diagram import batch
+from dielectric_jax.diagram import batch, batch_programs, scene_batch
 from dielectric_jax.model.shooting import COLUMNS, integrate_membrane
 from dielectric_jax.numerics.compiled import kept_jit
 
@@ -61,7 +61,7 @@ class Meter:
 
 
 def march_sides(membrane, contour, limits, walk, peak, steps, *rest):
-    return len(peak), lanes._PASSES * steps * STAGES
+    return len(peak), batch_programs._PASSES * steps * STAGES
 
 
 def meet_sides(membrane, contour, u, tangents, slopes, rows, targets, kinds, rounds, grid):
@@ -94,8 +94,8 @@ def main() -> int:
     scenes = [dj.Scene(membrane, dj.Chamber(volume=v, initial_volume=chambers.INITIAL_VOLUME)) for v in volumes]
     meters = {
         "march": Meter(batch, "march_program", march_sides),
-        "events": Meter(crowd, "meet_program", meet_sides),
-        "loads": Meter(crowd, "limits_program", lambda membrane, apex: (len(apex), 0)),
+        "events": Meter(scene_batch, "meet_program", meet_sides),
+        "loads": Meter(scene_batch, "limits_program", lambda membrane, apex: (len(apex), 0)),
     }
     whole, best, found = float("inf"), {}, None
     with meters["march"], meters["events"], meters["loads"]:
