@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import dielectric_jax as dj
+from dielectric_jax.design.calibration import check_determined, check_intervals, check_optimal
 from dielectric_jax.design.curve_model import CurveModel
-from dielectric_jax.design.fit_checks import check_determined, check_intervals, check_optimal
 from dielectric_jax.design.material_constants import sought_constants
 from dielectric_jax.model.chart import explicit_map
 from dielectric_jax.model.materials import AbstractMaterial

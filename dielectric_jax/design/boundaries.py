@@ -18,9 +18,8 @@ import numpy as np
 from ..diagram import landings_on, loading_columns
 from ..model import SCANNED_LOAD, SNAPPING, Regime, Scene
 from ..surface import Surface
-from .conditions import solve_on_sheet
+from .conditions import FarStates, solve_on_sheet
 from .designs import Designs, designs_of
-from .far_states import FarStates
 
 __all__ = [
     "FOLD_BREAKS",

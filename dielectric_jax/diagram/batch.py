@@ -33,9 +33,8 @@ from ..model import (
 )
 from ..numerics import Code
 from .batch_programs import LEVEL, VOLUME, march_program, new_walks
-from .batch_ramps import RampColumns, assemble, ramps_on_lines
+from .batch_ramps import RampColumns, assemble, have_others, ramps_on_lines
 from .landings import Landing, folds_ahead, landings
-from .other_branches import have_others
 from .polylines import Polylines
 from .scene_batch import LANES, Crowd, Met, calls, padded, pick
 from .states import check_request

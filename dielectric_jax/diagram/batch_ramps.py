@@ -3,14 +3,16 @@
 import dataclasses
 import typing
 
+import jax
 import numpy as np
 
-from ..model import SCALE, SCANNED_LOAD, FoldAhead, Outcome
+from ..model import SCALE, SCANNED_LOAD, ConstantVoltage, FoldAhead, Membrane, Outcome, Scene, cached_scan
 from .batch_programs import BREAKDOWN, LEVEL
 from .polylines import Places, Polylines
-from .scene_batch import Crowd, Met
+from .scene_batch import Crowd, Met, pick
 
-__all__ = ["Assembly", "Events", "assemble", "ramps_on_lines"]
+__all__ = ["Assembly", "Events", "assemble", "have_others", "ramps_on_lines"]
+
 
 _LOOKS = 5
 _CLEAR = 0.2  # of the smaller end slope: a dip of the slope that stays above it hides nothing
@@ -422,3 +424,60 @@ def ramps_on_lines(crowd: Crowd, owner: np.ndarray, of: Assembly, start: Met, en
         mark[~stable] = np.nan
     folds, zeros, breaks = marks
     return RampColumns(told, folds, zeros, breaks, snaps, outcome, ahead)
+
+
+_DENSE = 6, 16, 200  # points on an interval of a line: closer where cells are left, as rows crowd towards lock-up
+_TOGETHER = 32  # scenes that are looked at together, in the cache
+_EVERY = 3  # node of the scan is enough to see another branch
+
+
+def _spread(cells: np.ndarray) -> np.ndarray:
+    """Cells (…, rows, columns) and their neighbours."""
+    rows = cells.copy()
+    rows[:, 1:] |= cells[:, :-1]
+    rows[:, :-1] |= cells[:, 1:]
+    both = rows.copy()
+    both[..., 1:] |= rows[..., :-1]
+    both[..., :-1] |= rows[..., 1:]
+    return both
+
+
+def have_others(membrane: Membrane, own: np.ndarray, crowd: Crowd, lines: Polylines) -> np.ndarray:
+    """Which of the scenes `own`, all with one membrane, have a contour below breakdown away from their line."""
+    found = np.zeros(len(own), bool)
+    stretches, _, loads = Scene(membrane, ConstantVoltage(0.0)).limits()
+    chart = cached_scan(membrane, stretches, loads)
+    columns = np.flatnonzero(chart.load_fraction >= -0.02)[::_EVERY]
+    rows = np.arange(0, len(chart.apex_stretch), _EVERY)
+    apex, t = chart.apex_stretch[rows], chart.load_fraction[columns]
+    p, v = (field[np.ix_(rows, columns)] for field in (chart.pressure, chart.volume))
+    q = t * chart.largest_load[rows, None]
+    breaks = crowd.limits(apex, np.full(len(apex), own[0]))[0]
+    known = np.isfinite(p) & np.isfinite(v)
+    known = known[1:, 1:] & known[1:, :-1] & known[:-1, 1:] & known[:-1, :-1]
+    known &= (q[:-1, :-1] <= breaks[:-1, None]) & (t[:-1] >= 0)
+    nodes = np.flatnonzero(_spread(np.pad(known, ((0, 1), (0, 1)))[None]))
+    at_nodes = [field.ravel()[nodes] for field in (p, v, q)]
+    for i in range(0, len(own), _TOGETHER):
+        some = own[i : i + _TOGETHER]
+        contour = jax.tree.map(lambda leaf: leaf[:, None], pick(crowd.contour, some))
+        sign = np.zeros((len(some), *p.shape), bool)
+        with np.errstate(invalid="ignore"):
+            sign.reshape(len(some), -1)[:, nodes] = contour.residual(*at_nodes) < 0
+        along, across = sign[..., 1:] ^ sign[..., :-1], sign[:, 1:] ^ sign[:, :-1]
+        away = known & (along[:, 1:] | along[:, :-1] | across[..., 1:])
+        for most in _DENSE:
+            which = np.flatnonzero(away.any(axis=(1, 2)))
+            if not len(which):
+                break
+            dense = lines.take(some[which]).dense(most) * SCALE
+            there = np.isfinite(dense[..., 0])
+            line, x = np.nonzero(there)[0], dense[there]
+            limit = np.interp(x[:, 0], chart.apex_stretch, chart.largest_load)
+            row = np.clip(np.searchsorted(apex, x[:, 0]) - 1, 0, len(apex) - 2)
+            column = np.clip(np.searchsorted(t, x[:, 2] / limit) - 1, 0, len(t) - 2)
+            near = np.zeros((len(which), *known.shape), bool)
+            near[line, row, column] = True
+            away[which] &= ~_spread(near)
+        found[i : i + _TOGETHER] = away.any(axis=(1, 2))
+    return found

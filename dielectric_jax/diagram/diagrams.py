@@ -36,10 +36,9 @@ from ..model import (
 from ..numerics import Code, SceneError
 from ..plot import plot_diagram
 from ..surface import Surface
-from .branches import find_curves
+from .branches import Solved, find_curves, special_record
 from .mesh import Curve
 from .ramp import build_ramp, build_way_back, flat_ramp
-from .solved import Solved, special_record
 from .special_points import fold_events, special_points
 from .states import (
     check_concrete,

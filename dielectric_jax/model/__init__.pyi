@@ -12,7 +12,6 @@ from .corrector import (
     locking_stretch,
     polish,
 )
-from .elastomers import CustomPermittivity, Electrostrictive, MooneyRivlin, Ogden
 from .energies import require_float64
 from .loading import (
     Chamber,
@@ -32,8 +31,12 @@ from .materials import (
     ConstantBreakdown,
     CustomBreakdown,
     CustomMaterial,
+    CustomPermittivity,
+    Electrostrictive,
     Gent,
+    MooneyRivlin,
     NeoHookean,
+    Ogden,
     VHBBreakdown,
     as_scalar,
     capacitance,

@@ -11,7 +11,6 @@ import jax
 import numpy as np
 
 from ..numerics import LARGEST, shown
-from .elastomers import CustomPermittivity, Electrostrictive, MooneyRivlin, Ogden
 from .loading import (
     AbstractLoading,
     Chamber,
@@ -28,8 +27,12 @@ from .materials import (
     ArrudaBoyce,
     ConstantBreakdown,
     CustomMaterial,
+    CustomPermittivity,
+    Electrostrictive,
     Gent,
+    MooneyRivlin,
     NeoHookean,
+    Ogden,
     VHBBreakdown,
 )
 from .membrane import Membrane
