@@ -780,7 +780,7 @@ def second_derivatives(quick: bool) -> Iterator[Row]:
 
 INTRODUCTION = """# Hard cases
 
-Made by `python -m benchmarks.acceptance.hard_cases --table docs/hard_cases.md`; `tests/test_hard_cases.py` asks a part of it each time.
+Made by `python -m benchmarks.acceptance.hard_cases --table docs/hard_cases.md`; `tests/diagram/test_hard_cases.py` asks a part of it each time.
 
 Each row says what is asked, what is true and how that is known, what is answered, and the error. Nothing that is called true
 comes from the package: it is a closed form, a series, a reference number of another method, or the extended precision of

@@ -13,7 +13,7 @@ from benchmarks.truth import extended_precision as truth
 from benchmarks.truth import ritz
 from benchmarks.truth.ritz import Ritz
 
-REFERENCES = json.loads((pathlib.Path(__file__).parent / "data" / "equilibria.json").read_text(encoding="utf-8"))
+REFERENCES = json.loads((pathlib.Path(__file__).parents[1] / "data" / "equilibria.json").read_text(encoding="utf-8"))
 HELD = {
     "pressure": dj.ConstantPressure(1.0),
     "chamber": dj.Chamber(volume=1600.0, initial_volume=2.42),

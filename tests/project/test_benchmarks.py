@@ -10,7 +10,7 @@ import pytest
 from benchmarks import harness
 from benchmarks.truth import chambers
 
-ROOT = pathlib.Path(__file__).parent.parent
+ROOT = pathlib.Path(__file__).parents[2]
 
 
 def quick(script: str, tmp_path, *more) -> tuple[dict, str]:

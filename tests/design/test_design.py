@@ -11,7 +11,7 @@ import dielectric_jax as dj
 from dielectric_jax.apps.cli import main
 from dielectric_jax.design.design_points import Kind, begin_of, measure
 
-DOCS = pathlib.Path(__file__).parent.parent / "docs"
+DOCS = pathlib.Path(__file__).parents[2] / "docs"
 CHAMBERS = {"chamber_volume": (500.0, 25000.0)}
 
 

@@ -13,7 +13,7 @@ from dielectric_jax import continue_scenes
 from dielectric_jax.diagram.polylines import Places, Polylines
 from dielectric_jax.model import Outcome
 
-DATA = pathlib.Path(__file__).parent.parent / "benchmarks" / "truth" / "data" / "chambers.csv"
+DATA = pathlib.Path(__file__).parents[2] / "benchmarks" / "truth" / "data" / "chambers.csv"
 FILM = dj.Membrane()
 
 

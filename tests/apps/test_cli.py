@@ -15,7 +15,7 @@ import pytest
 
 from dielectric_jax.apps.cli import main
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 CHAMBER = ["voltage-volume", "--chamber-volume", "1600", "--initial-volume", "2.42"]
 PNG = b"\x89PNG"
 

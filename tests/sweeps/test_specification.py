@@ -7,7 +7,7 @@ import pytest
 
 import dielectric_jax as dj
 
-EXAMPLE = pathlib.Path(__file__).parent.parent / "docs" / "example_sweep.toml"
+EXAMPLE = pathlib.Path(__file__).parents[2] / "docs" / "example_sweep.toml"
 
 
 def test_the_example_means_what_it_says():

@@ -11,7 +11,7 @@ import dielectric_jax as dj
 
 STATES = [
     ref
-    for ref in json.loads((pathlib.Path(__file__).parent / "data" / "equilibria.json").read_text(encoding="utf-8"))
+    for ref in json.loads((pathlib.Path(__file__).parents[1] / "data" / "equilibria.json").read_text(encoding="utf-8"))
     if ref["voltage_squared"] >= 0
 ]
 

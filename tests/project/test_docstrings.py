@@ -6,7 +6,7 @@ import pathlib
 
 import pytest
 
-PACKAGE = pathlib.Path(__file__).parent.parent / "dielectric_jax"
+PACKAGE = pathlib.Path(__file__).parents[2] / "dielectric_jax"
 MODULES = sorted(
     ".".join(p.relative_to(PACKAGE).with_suffix("").parts)
     for p in PACKAGE.rglob("*.py")

@@ -13,7 +13,7 @@ import pytest
 import dielectric_jax as dj
 from dielectric_jax.apps.options import read_arguments
 
-ROOT = pathlib.Path(__file__).parent.parent
+ROOT = pathlib.Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import dielectric_jax as dj
 
-PACKAGE = pathlib.Path(__file__).parent.parent / "dielectric_jax"
+PACKAGE = pathlib.Path(__file__).parents[2] / "dielectric_jax"
 FLOORS = {
     "numerics": 1,
     "model": 2,

@@ -44,7 +44,7 @@ def test_breakdown_between_the_last_rows_of_a_stiff_branch(surface):
 
     The breakdown voltages are those of `benchmarks/truth/data/chambers.csv`, in extended precision.
     """
-    path = pathlib.Path(__file__).parent.parent / "benchmarks" / "truth" / "data" / "chambers.csv"
+    path = pathlib.Path(__file__).parents[2] / "benchmarks" / "truth" / "data" / "chambers.csv"
     with path.open(encoding="utf-8") as file:
         rows = [r for r in csv.DictReader(file) if r["kind"] == "breakdown" and float(r["chamber_volume"]) > 9000]
     ramps = chamber_ramps(surface, [float(r["chamber_volume"]) for r in rows], 2.42)

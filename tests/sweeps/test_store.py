@@ -18,7 +18,7 @@ from benchmarks.acceptance import sweep_faults
 from dielectric_jax.numerics.codes import StoreError
 from dielectric_jax.numerics.locks import alone
 
-BENCHMARKS = pathlib.Path(__file__).parent.parent / "benchmarks"
+BENCHMARKS = pathlib.Path(__file__).parents[2] / "benchmarks"
 SPECIFICATION = """
 block = 8
 [scene]
