@@ -17,8 +17,8 @@ import numpy as np
 import dielectric_jax as dj
 from benchmarks.harness import machine, write
 from benchmarks.truth import extended_precision as truth
-from dielectric_jax.model.corrector import polish
-from dielectric_jax.model.loading import Contour
+from dielectric_jax.model.corrector import corrected_points
+from dielectric_jax.model.loading import LoadingCondition
 
 jax.config.update("jax_enable_x64", True)
 dj.enable_compilation_cache()
@@ -33,16 +33,25 @@ def draw(count: int, seed: int) -> dict:
     random = np.random.default_rng(seed)
     rim = random.uniform(1, 3, count)
     limit = np.exp(random.uniform(np.log(50), np.log(1000), count))
-    crowd = random.choice(len(CROWDS), count, p=[0.5, 0.15, 0.1, 0.125, 0.125])
+    scene_batch = random.choice(len(CROWDS), count, p=[0.5, 0.15, 0.1, 0.125, 0.125])
     t = random.uniform(-1, TOP, count)
-    t = np.where((crowd == 1) | (crowd == 4), TOP - np.exp(random.uniform(np.log(1e-4), np.log(0.2), count)), t)
+    t = np.where(
+        (scene_batch == 1) | (scene_batch == 4), TOP - np.exp(random.uniform(np.log(1e-4), np.log(0.2), count)), t
+    )
     share = random.uniform(1e-4, 1, count)
-    share = np.where(crowd == 2, np.exp(random.uniform(np.log(1e-4), np.log(0.1), count)), share)
-    share = np.where(crowd >= 3, random.uniform(0.93, 1, count), share)
+    share = np.where(scene_batch == 2, np.exp(random.uniform(np.log(1e-4), np.log(0.1), count)), share)
+    share = np.where(scene_batch >= 3, random.uniform(0.93, 1, count), share)
     apex = rim + share * (np.array([truth.lock_up(j) for j in limit]) - rim)
     kind = random.choice(len(KINDS), count, p=[0.5, 0.2, 0.3])
     chamber = np.exp(random.uniform(np.log(10), np.log(25000), count))
-    return {"crowd": crowd, "kind": kind, "prestretch": rim, "stretch_limit": limit, "apex_stretch": apex, "t": t} | {
+    return {
+        "crowd": scene_batch,
+        "kind": kind,
+        "prestretch": rim,
+        "stretch_limit": limit,
+        "apex_stretch": apex,
+        "t": t,
+    } | {
         "chamber_volume": chamber,
         "q": t * truth.largest_load(apex, limit),
     }
@@ -70,13 +79,13 @@ def start(states: dict) -> dict:
     return dict(zip(("p", "v", "p_by_q", "v_by_q"), np.concatenate(out, axis=1), strict=True))
 
 
-def contour_through(kind: int, chamber: float, p: float, v: float, q: float) -> Contour:
+def contour_through(kind: int, chamber: float, p: float, v: float, q: float) -> LoadingCondition:
     """The condition of a loading whose contour passes through a state."""
     if kind == 0:
-        return dataclasses.replace(dj.ConstantVoltage(0.0).contour(), load=np.asarray(q))
+        return dataclasses.replace(dj.ConstantVoltage(0.0).condition(), load=np.asarray(q))
     if kind == 1:
-        return dj.ConstantPressure(p).contour()
-    return dj.Chamber(volume=chamber, initial_volume=v).contour(np.asarray(p), np.asarray(v))
+        return dj.ConstantPressure(p).condition()
+    return dj.Chamber(volume=chamber, initial_volume=v).condition(np.asarray(p), np.asarray(v))
 
 
 def engine(states: dict, begin: dict, report) -> tuple[dict, list]:
@@ -91,7 +100,7 @@ def engine(states: dict, begin: dict, report) -> tuple[dict, list]:
         membrane = dj.Membrane(dj.Gent(one["stretch_limit"]), one["prestretch"])
         u = np.array([[one["apex_stretch"]], [p], [one["q"]]])
         try:
-            found = polish(membrane, contours[-1], u, np.array([[1.0, 0, 0]]), u[0], tolerance=TOLERANCE)
+            found = corrected_points(membrane, contours[-1], u, np.array([[1.0, 0, 0]]), u[0], tolerance=TOLERANCE)
         except Exception as error:  # listed, so that one state does not end the run
             raised.append({"state": i, "error": f"{type(error).__name__}: {error}"})
             continue
@@ -119,20 +128,20 @@ def true_errors(states: dict, begin: dict, found: dict, report) -> tuple[np.ndar
             arguments = [states["apex_stretch"], found["p"], found["q"], states["stretch_limit"], states["prestretch"]]
             p, v, unsure = truth.exact(*(a[part] for a in arguments), steps=steps)
             for k, i in enumerate(part):
-                contour, pq, vq = found["contours"][i], begin["p_by_q"][i], begin["v_by_q"][i]
-                of_p, of_v, of_q = contour.slopes(float(v[k]))
+                condition, pq, vq = found["contours"][i], begin["p_by_q"][i], begin["v_by_q"][i]
+                of_p, of_v, of_q = condition.slopes(float(v[k]))
                 gap = float(p[k] - found["p"][i]) + 0.0, float(v[k] - found["v"][i])
                 q = found["q"][i]
                 if states["kind"][i] == 0:
-                    g = float(of_q * (q - contour.load))
+                    g = float(of_q * (q - condition.load))
                 elif states["kind"][i] == 1:
-                    g = float(p[k] - contour.initial_pressure)
+                    g = float(p[k] - condition.initial_pressure)
                 else:
                     # p_gas at the true volume in extended precision: p_gas(V) changes by −k (V − V_0) about V_0
-                    fill = float(contour.initial_volume)
-                    total = contour.initial_pressure + contour.atmospheric_pressure
-                    gas = truth.EXTENDED(contour.initial_pressure) + truth.EXTENDED(total) * (fill - v[k]) / (
-                        v[k] + truth.EXTENDED(contour.chamber_volume)
+                    fill = float(condition.initial_volume)
+                    total = condition.initial_pressure + condition.atmospheric_pressure
+                    gas = truth.EXTENDED(condition.initial_pressure) + truth.EXTENDED(total) * (fill - v[k]) / (
+                        v[k] + truth.EXTENDED(condition.chamber_volume)
                     )
                     g = float(p[k] - gas)
                 of_load = of_p * pq + of_v * vq + of_q

@@ -740,13 +740,14 @@ def second_derivatives(quick: bool) -> Iterator[Row]:
     for point in ((2.0, 1.9, 0.0),) if quick else ((2.0, 1.9, 0.0), (5.0, 1.6, -0.01), (8.0, 1.2, 0.01)):
         at = np.array(point, truth.EXTENDED)
 
-        def lag(rows):
+        def stretch_change(rows):
             apex, p, q = rows.T
             return truth.shoot(apex, p, q, truth.EXTENDED(J), 280)[1]
 
-        true = differences(lag, at, np.array([2e-3, 2e-3, 1e-4], truth.EXTENDED))
+        true = differences(stretch_change, at, np.array([2e-3, 2e-3, 1e-4], truth.EXTENDED))
         answer = ask(
-            jax.hessian(lambda x: dj.model.shoot(dj.Gent(J), x[0], x[1], x[2], steps=64.0).lag), np.array(point, float)
+            jax.hessian(lambda x: dj.model.shoot(dj.Gent(J), x[0], x[1], x[2], steps=64.0).stretch_change),
+            np.array(point, float),
         )
         mine = np.asarray(answer.value)
         scale = np.sqrt(np.abs(np.outer(np.diag(true), np.diag(true)))) + 1e-3

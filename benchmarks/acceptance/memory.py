@@ -106,7 +106,9 @@ def draw_scene(random, material=None) -> dj.Scene:
     material = MATERIALS[int(random.integers(len(MATERIALS)))] if material is None else material
     stretch = 1.0 if random.random() < 0.2 else uniform(random, 1.0, 2.5)
     law = dj.VHBBreakdown(scale=uniform(random, 0.5, 1.5)) if random.random() < 0.7 else dj.ConstantBreakdown(1.0)
-    film = dj.Membrane(material(random), stretch, law)
+    elastomer = material(random)
+    largest = float(np.ravel(dj.Membrane(elastomer).lock_up_stretch())[0])
+    film = dj.Membrane(elastomer, min(stretch, 0.9 * largest), law)
     pressure = uniform(random, 0.2, 1.5)
     air = {
         "volume": log_uniform(random, 1, 25000),
@@ -135,13 +137,13 @@ def chambers_of(scene, random) -> dj.Scene:
 
 
 def surface(scene, random):
-    sheet = dj.Surface.build(scene.membrane, cache=False, tolerance=1e-6)
-    dj.glance(scene, sheet)
-    dj.voltage_volume(scene, surface=sheet)
+    surface = dj.Surface.build(scene.membrane, cache=False, tolerance=1e-6)
+    dj.glance(scene, surface)
+    dj.voltage_volume(scene, surface=surface)
     count = int(random.integers(1, 40))
-    dj.diagram.chamber_ramps(sheet, np.geomspace(10.0, 25000.0, count), random.uniform(0.5, 3.0, count))
-    dj.diagram.pressure_ramps(sheet, random.uniform(0.2, 2.0, count))
-    dj.diagram.chamber_curves(sheet, 1600.0, random.uniform(0.5, 3.0, count))
+    dj.diagram.chamber_ramps(surface, np.geomspace(10.0, 25000.0, count), random.uniform(0.5, 3.0, count))
+    dj.diagram.pressure_ramps(surface, random.uniform(0.2, 2.0, count))
+    dj.diagram.chamber_curves(surface, 1600.0, random.uniform(0.5, 3.0, count))
 
 
 def sweep(engine):

@@ -39,14 +39,14 @@ def draw(count: int, seed: int) -> dict:
     rim = np.repeat(random.uniform(1, 3, membranes), EACH)[:count]
     limit = np.repeat(np.exp(random.uniform(np.log(50), np.log(1000), membranes)), EACH)[:count]
     chamber = np.repeat(np.exp(random.uniform(np.log(10), np.log(25000), membranes)), EACH)[:count]
-    crowd = random.choice(len(CROWDS), count, p=[0.55, 0.25, 0.1, 0.1])
+    scene_batch = random.choice(len(CROWDS), count, p=[0.55, 0.25, 0.1, 0.1])
     t = random.uniform(-1, 0.9, count)
-    t = np.where(crowd == 1, 1 - np.exp(random.uniform(np.log(1e-2), np.log(0.3), count)), t)
+    t = np.where(scene_batch == 1, 1 - np.exp(random.uniform(np.log(1e-2), np.log(0.3), count)), t)
     share = random.uniform(1e-3, 0.97, count)
-    share = np.where(crowd == 2, np.exp(random.uniform(np.log(1e-4), np.log(0.1), count)), share)
-    share = np.where(crowd == 3, random.uniform(0.9, 0.999, count), share)
+    share = np.where(scene_batch == 2, np.exp(random.uniform(np.log(1e-4), np.log(0.1), count)), share)
+    share = np.where(scene_batch == 3, random.uniform(0.9, 0.999, count), share)
     apex = rim + share * (np.array([truth.lock_up(j) for j in limit]) - rim)
-    return {"prestretch": rim, "stretch_limit": limit, "chamber_volume": chamber, "crowd": crowd} | {
+    return {"prestretch": rim, "stretch_limit": limit, "chamber_volume": chamber, "crowd": scene_batch} | {
         "apex_stretch": apex,
         "q": t * truth.largest_load(apex, limit),
         "t": t,

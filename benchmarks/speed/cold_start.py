@@ -15,7 +15,7 @@ import tempfile
 from benchmarks.harness import machine, write
 from benchmarks.speed.first_diagram import calibrate, run
 
-COLUMNS = {
+UNKNOWNS = {
     "python": "start_seconds",
     "jax": "import_jax_seconds",
     "package": "import_package_seconds",
@@ -65,10 +65,10 @@ def main() -> int:
         for name, one in found.items()
     ]
     write({"name": "cold_start", "calibration_seconds": calibrate(), "records": records}, options.json)
-    print(f"{'':14}" + "".join(f"{head:>9}" for head in COLUMNS) + f"{'error':>10}", file=sys.stderr)
+    print(f"{'':14}" + "".join(f"{head:>9}" for head in UNKNOWNS) + f"{'error':>10}", file=sys.stderr)
     for name, one in found.items():
         values = one | one["stages_summed_over_threads"]
-        cells = "".join(f"{values[key]:9.2f}" for key in COLUMNS.values())
+        cells = "".join(f"{values[key]:9.2f}" for key in UNKNOWNS.values())
         print(f"{name:14}{cells}{max(one['fold_error'], one['breakdown_error']):10.1e}", file=sys.stderr)
     print("seconds; the last four are sums over threads, most of which belong to the first diagram", file=sys.stderr)
     return 0 if all(r["error"] < 1e-9 for r in records) else 1

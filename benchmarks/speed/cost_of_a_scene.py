@@ -27,7 +27,7 @@ from benchmarks.speed.shots import MATERIAL, States, seconds_of
 from benchmarks.truth import extended_precision as truth
 from benchmarks.truth.chambers import INITIAL_VOLUME, STRETCH_LIMIT
 from dielectric_jax.model.programs import jacobian_program, value_program
-from dielectric_jax.model.shooting import COLUMNS, integrate_membrane
+from dielectric_jax.model.shooting import UNKNOWNS, integrate_membrane
 
 jax.config.update("jax_enable_x64", True)
 
@@ -50,27 +50,39 @@ def integration(quick: bool) -> list[dict]:
         @functools.partial(jax.jit, **COMPILED)
         def run(lanes, steps):
             found = integrate_membrane(MATERIAL, *lanes, steps, **options)
-            return found.lag, found.volume, found.height, found.charge, found.columns, found.trail and found.trail[:2]
+            return (
+                found.stretch_change,
+                found.volume,
+                found.height,
+                found.charge,
+                found.sensitivities,
+                found.trail and found.trail[:2],
+            )
 
         return run
 
     @functools.partial(jax.jit, **COMPILED)
     def estimated(lanes, steps):
         fine, coarse = (integrate_membrane(MATERIAL, *lanes, n) for n in (steps, steps / 2))
-        return fine.lag, fine.volume, fine.lag - coarse.lag, fine.volume - coarse.volume
+        return (
+            fine.stretch_change,
+            fine.volume,
+            fine.stretch_change - coarse.stretch_change,
+            fine.volume - coarse.volume,
+        )
 
     @functools.partial(jax.jit, **COMPILED)
     def no_voltage(lanes, steps):
         found = integrate_membrane(MATERIAL, lanes[0], lanes[1], 0.0, steps)
-        return found.lag, found.volume
+        return found.stretch_change, found.volume
 
     programs = {
         "no voltage": no_voltage,
         "voltage": shot(),
         "+ error estimate (half the steps again)": estimated,
-        "+ ∂/∂λa (pressure given)": shot(columns=COLUMNS[:1]),
-        "+ ∂/∂λa, ∂/∂p (volume given)": shot(columns=COLUMNS[:2]),
-        "+ ∂/∂λa, ∂/∂p, ∂/∂q (chamber)": shot(columns=COLUMNS),
+        "+ ∂/∂λa (pressure given)": shot(sensitivities=UNKNOWNS[:1]),
+        "+ ∂/∂λa, ∂/∂p (volume given)": shot(sensitivities=UNKNOWNS[:2]),
+        "+ ∂/∂λa, ∂/∂p, ∂/∂q (chamber)": shot(sensitivities=UNKNOWNS),
         "+ these and the index": lambda lanes, steps: jacobian_program(MATERIAL, lanes, steps),
         "+ height and charge": shot(outputs=True),
         "+ profile along the membrane": shot(outputs=True, trail="profile", heights=True),

@@ -23,8 +23,8 @@ from benchmarks.harness import machine, write
 from benchmarks.speed.shots import MATERIAL, States, seconds_of
 from benchmarks.truth import chambers
 from dielectric_jax.diagram import batch, batch_programs, scene_batch
-from dielectric_jax.model.shooting import COLUMNS, integrate_membrane
-from dielectric_jax.numerics.compiled import kept_jit
+from dielectric_jax.model.shooting import UNKNOWNS, integrate_membrane
+from dielectric_jax.numerics.compiled import cached_jit
 
 jax.config.update("jax_enable_x64", True)
 dj.enable_compilation_cache()
@@ -60,11 +60,11 @@ class Meter:
         return found
 
 
-def march_sides(membrane, contour, limits, walk, peak, steps, *rest):
+def march_sides(membrane, condition, limits, walk, peak, steps, *rest):
     return len(peak), batch_programs._PASSES * steps * STAGES
 
 
-def meet_sides(membrane, contour, u, tangents, slopes, rows, targets, kinds, rounds, grid):
+def meet_sides(membrane, condition, u, tangents, slopes, rows, targets, kinds, rounds, grid):
     # without derivatives the residual costs two fifths
     return u.shape[1], (rounds * grid[0] + grid[1] / 2.6) * STAGES
 
@@ -74,10 +74,10 @@ def right_hand_side() -> float:
     states = States(LANES)
     u = np.stack([states.apex, states.p, states.q])
 
-    @kept_jit  # as the batch's programs are compiled
+    @cached_jit  # as the batch's programs are compiled
     def program(u, steps):
-        shot = integrate_membrane(MATERIAL, *u, steps, columns=COLUMNS)
-        return [shot.columns[name] for name in COLUMNS]
+        shot = integrate_membrane(MATERIAL, *u, steps, sensitivities=UNKNOWNS)
+        return [shot.sensitivities[name] for name in UNKNOWNS]
 
     best, _ = seconds_of(lambda: jax.block_until_ready(program(u, 48.0)), 5)
     return best / (LANES * 48 * STAGES)
@@ -94,7 +94,7 @@ def main() -> int:
     scenes = [dj.Scene(membrane, dj.Chamber(volume=v, initial_volume=chambers.INITIAL_VOLUME)) for v in volumes]
     meters = {
         "march": Meter(batch, "march_program", march_sides),
-        "events": Meter(scene_batch, "meet_program", meet_sides),
+        "events": Meter(scene_batch, "correct_program", meet_sides),
         "loads": Meter(scene_batch, "limits_program", lambda membrane, apex: (len(apex), 0)),
     }
     whole, best, found = float("inf"), {}, None

@@ -46,9 +46,9 @@ class States:
     def count(self) -> int:
         return len(self.apex)
 
-    def shot_error(self, lag, v) -> float:
+    def shot_error(self, stretch_change, v) -> float:
         some = slice(0, len(np.atleast_1d(v)))
-        rim = np.abs(self.apex[some] + np.asarray(lag) - 1)
+        rim = np.abs(self.apex[some] + np.asarray(stretch_change) - 1)
         return float(np.max(np.maximum(rim, np.abs(v / self.v[some] - 1))))
 
     def map_error(self, p, v) -> float:
@@ -111,7 +111,7 @@ def records_of(name, engine, knob, values, program, states, error, rounds):
 def own_shot(lanes, steps):
     """Ours: `shoot` is this one with a derivative rule."""
     shot = integrate_membrane(MATERIAL, *lanes, steps)
-    return shot.lag, shot.volume
+    return shot.stretch_change, shot.volume
 
 
 def _rates(radius, y, lane):

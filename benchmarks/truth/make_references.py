@@ -30,7 +30,7 @@ DATA = pathlib.Path(__file__).parent / "data"
 LIMIT, RIM, FILLING, ATMOSPHERE = 270.0, 1.0, 2.42, 50.0
 SMALLEST, LARGEST, COUNT = 300.0, 25000.0, 256
 VOLTAGES = (0.0, 0.05)  # of the p–V curves
-COLUMNS = ("chamber_volume", "kind", "apex_stretch", "pressure", "volume", "voltage_squared", "uncertainty")
+UNKNOWNS = ("chamber_volume", "kind", "apex_stretch", "pressure", "volume", "voltage_squared", "uncertainty")
 FIELD = np.sqrt(45e3 / (4.7 * 8.854e-12)) / 1e6  # √(μ/ε) in MV/m
 _NODES, _WIDTH = 11, 0.05
 _LAST = 10.2  # λa, where the march ends
@@ -273,7 +273,7 @@ def pressure_folds(steps, width):
 def write(path, rows):
     with path.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(COLUMNS)
+        writer.writerow(UNKNOWNS)
         writer.writerows(rows)
 
 

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..diagram import ByLeaves, filling
+from ..diagram import MembraneKey, filling
 from ..model import (
     Chamber,
     ConstantPressure,
@@ -41,7 +41,7 @@ from .point_systems import (
     attach,
     attach_free,
 )
-from .rim import AbstractEngine, ByShooting, OnSheet
+from .rim import AbstractRim, ShotRim, SurfaceRim
 from .searches import first_folds, first_folds_on_surface, guarded, ramp_events
 
 __all__ = [
@@ -129,7 +129,7 @@ def _steps(scenes: Scenes, found, surface: Surface | None) -> np.ndarray:
     groups: dict = {}
     membranes = [surface.membrane] if surface is not None else [scene.membrane for scene in scenes]
     for i, membrane in enumerate(membranes):
-        groups.setdefault(ByLeaves.of(membrane), []).append(i)
+        groups.setdefault(MembraneKey.of(membrane), []).append(i)
     steps = np.empty(found.shape[:2])
     for key, own in groups.items():
         own = slice(None) if surface is not None else own
@@ -179,8 +179,8 @@ def find(names: tuple, scene: Scene, surface: Surface | None, one: Callable | No
     return found
 
 
-def engine_of(surface: Surface | None, steps) -> AbstractEngine:
-    return ByShooting(steps) if surface is None else OnSheet(surface, steps)
+def engine_of(surface: Surface | None, steps) -> AbstractRim:
+    return ShotRim(steps) if surface is None else SurfaceRim(surface, steps)
 
 
 def start_of(scene: Scene, found: Found, surface) -> tuple[Solution, Conditions]:
@@ -192,12 +192,12 @@ def start_of(scene: Scene, found: Found, surface) -> tuple[Solution, Conditions]
         assert isinstance(loading, Chamber)
         by_volume = loading.initial_volume is not None
         kind, target = (VOLUME, loading.initial_volume) if by_volume else (PRESSURE, loading.initial_pressure)
-    held = Conditions(scene.membrane, ConstantVoltage(0.0).contour(), target)
+    held = Conditions(scene.membrane, ConstantVoltage(0.0).condition(), target)
     state = attach(found.state, held, kind, engine_of(surface, found.steps))
     if isinstance(loading, ConstantPressure):
-        return state, Conditions(scene.membrane, loading.contour())
+        return state, Conditions(scene.membrane, loading.condition())
     filled = (state.pressure, target) if kind == VOLUME else (target, state.volume)
-    return state, Conditions(scene.membrane, loading.contour(*filled))
+    return state, Conditions(scene.membrane, loading.condition(*filled))
 
 
 def raise_if_none(scene: Scene, found: Found, throw: bool) -> None:

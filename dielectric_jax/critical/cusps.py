@@ -39,7 +39,7 @@ def _extreme(name: str, membrane: Membrane, voltage, throw: bool) -> CriticalPoi
         return [pressure_extremes(scene.membrane, float(scene.loading.voltage) ** 2)[name]]
 
     found = find((name,), scene, None, one)[name]
-    theta = Conditions(membrane, ConstantVoltage(0.0).contour(), load)
+    theta = Conditions(membrane, ConstantVoltage(0.0).condition(), load)
     return point_of(scene, found, attach(found.state, theta, PRESSURE_FOLD, engine_of(None, found.steps)), throw)
 
 
@@ -67,7 +67,7 @@ def _filled(scene: Scene) -> tuple[float | None, float | None]:
 def _states(scene: Scene) -> tuple[np.ndarray, list[np.ndarray]]:
     """The start of a ramp and all zero-voltage states of a scene."""
     pressure, volume = _filled(scene)
-    states = zero_states(scene.membrane, scene.loading.contour(pressure, volume))
+    states = zero_states(scene.membrane, scene.loading.condition(pressure, volume))
     states = [row for row in states if row[5] == int(Code.ok)]
     if not states:
         raise SceneError(Code.no_zero_voltage_state)
@@ -111,7 +111,7 @@ def _of_chamber(scene: Scene, search: typing.Callable):
 
     def one(scene):
         filled = _filled(scene)
-        theta = scene.loading.contour(*filled)
+        theta = scene.loading.condition(*filled)
         start = min(zero_states(scene.membrane, theta), key=lambda row: abs(row[3] - filled[1]))
         return [start, search(scene.membrane, scene.loading, filled)]
 
@@ -172,6 +172,6 @@ def pressure_cusp(
         return [find_pressure_cusp(scene.membrane, float(scene.loading.voltage) ** 2, within)]
 
     of = find(("cusp",), scene, None, one)["cusp"]
-    theta = Conditions(membrane, ConstantVoltage(0.0).contour(), load)
+    theta = Conditions(membrane, ConstantVoltage(0.0).condition(), load)
     state = attach(of.state, theta, PRESSURE_CUSP, engine_of(None, of.steps), leaf_of(theta, "prestretch"))
     return point_of(scene, of, state, throw)

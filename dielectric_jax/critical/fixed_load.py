@@ -13,11 +13,11 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.optimize import brentq
 
-from ..diagram import ByLeaves
-from ..model import SCALE, Chamber, ConstantVoltage, Contour, Membrane, largest_load, map_nodes, stretch_shares
+from ..diagram import MembraneKey
+from ..model import SCALE, Chamber, ConstantVoltage, LoadingCondition, Membrane, largest_load, map_nodes, stretch_shares
 from ..numerics import Code
 from .point_systems import CUSP, LEVEL, ONSET, PRESSURE_CUSP, PRESSURE_FOLD, Conditions, correction
-from .rim import ByShooting
+from .rim import ShotRim
 
 __all__ = ["chamber_cusps", "onset", "pressure_cusp", "pressure_extremes", "settle", "zero_states"]
 
@@ -66,13 +66,13 @@ class Line:
 
 
 @functools.lru_cache(maxsize=512)
-def _line(key: ByLeaves, q: float) -> Line:
+def _line(key: MembraneKey, q: float) -> Line:
     return Line(key.membrane, q)
 
 
 def line_of(membrane: Membrane, q: float) -> Line:
     """The line of a membrane at a load; the last ones are kept, for chambers share them."""
-    return _line(ByLeaves.of(membrane), float(q))
+    return _line(MembraneKey.of(membrane), float(q))
 
 
 def settle(kind: str, u, theta: Conditions, free: int | None = None, value: float = 0.0):
@@ -88,7 +88,7 @@ def settle(kind: str, u, theta: Conditions, free: int | None = None, value: floa
 
     def step(steps):
         at = theta if free is None else tree.unflatten([*leaves[:free], x[3], *leaves[free + 1 :]])
-        _, found, volume = correction(kind, ByShooting(np.asarray(steps)), x[:3], at, free)
+        _, found, volume = correction(kind, ShotRim(np.asarray(steps)), x[:3], at, free)
         move = np.zeros(4)
         move[which] = np.asarray(found)
         return move, float(volume)
@@ -122,7 +122,7 @@ def pressure_extremes(membrane: Membrane, q: float) -> dict[str, np.ndarray]:
     if not line.length:
         return found
     slope = line.spline.derivative()
-    theta = Conditions(membrane, ConstantVoltage(0.0).contour(), np.asarray(float(q)))
+    theta = Conditions(membrane, ConstantVoltage(0.0).condition(), np.asarray(float(q)))
     begun = False
     for place in line.roots(lambda s: slope(s)[1]):
         peak = slope(place - 1e-3)[1] > 0
@@ -135,13 +135,13 @@ def pressure_extremes(membrane: Membrane, q: float) -> dict[str, np.ndarray]:
     return found
 
 
-def zero_states(membrane: Membrane, contour: Contour) -> list[np.ndarray]:
+def zero_states(membrane: Membrane, condition: LoadingCondition) -> list[np.ndarray]:
     """Every state at zero voltage under a loading, by rising λa."""
     line = line_of(membrane, 0.0)
     if not line.length:
         return []
-    roots = line.roots(lambda s: np.asarray(contour.residual(*line.at(s)[1:], 0.0)))
-    theta = Conditions(membrane, contour, np.asarray(0.0))
+    roots = line.roots(lambda s: np.asarray(condition.residual(*line.at(s)[1:], 0.0)))
+    theta = Conditions(membrane, condition, np.asarray(0.0))
     return [settle(LEVEL, (*line.at(place)[:2], 0.0), theta) for place in roots]
 
 
@@ -149,7 +149,7 @@ def leaf_of(theta: Conditions, name: str) -> int:
     """The number of the leaf of θ that holds a parameter, the membrane's prestretch or one of its contour."""
     if name == "prestretch":
         return len(jax.tree.leaves(theta.membrane.material))
-    fields = [field.name for field in dataclasses.fields(Contour)]
+    fields = [field.name for field in dataclasses.fields(LoadingCondition)]
     return len(jax.tree.leaves(theta.membrane)) + fields.index(name)
 
 
@@ -179,7 +179,7 @@ def onset(membrane: Membrane, loading: Chamber, filled) -> np.ndarray:
         return none(Code.no_bistability)
     i = low[np.argmin(values[low])]
     apex, p, _ = line.at(line.fine[i])
-    theta = Conditions(membrane, loading.contour(*filled), np.asarray(0.0))
+    theta = Conditions(membrane, loading.condition(*filled), np.asarray(0.0))
     return settle(ONSET, (float(apex), float(p), 0.0), theta, leaf_of(theta, "chamber_volume"), float(values[i]))
 
 
@@ -216,7 +216,7 @@ def pressure_cusp(membrane: Membrane, q: float, within: tuple[float, float]) -> 
     if place is None:
         return none(Code.no_cusp)
     theta = Conditions(
-        Membrane(membrane.material, rim, membrane.breakdown), ConstantVoltage(0.0).contour(), np.asarray(q)
+        Membrane(membrane.material, rim, membrane.breakdown), ConstantVoltage(0.0).condition(), np.asarray(q)
     )
     return settle(PRESSURE_CUSP, (*place, q), theta, leaf_of(theta, "prestretch"), rim)
 
@@ -247,7 +247,7 @@ def chamber_cusps(membrane: Membrane, loading: Chamber, filled, within: tuple[fl
             at = q if more is extremes else before[0]
             pairs = sorted(itertools.pairwise(more), key=lambda ab: abs(ab[0][2] / ab[1][2] - 1))
             (a0, p0, s0), (a1, p1, s1) = pairs[0]
-            theta = Conditions(membrane, loading.contour(*filled), np.asarray(0.0))
+            theta = Conditions(membrane, loading.condition(*filled), np.asarray(0.0))
             guess = ((a0 + a1) / 2, (p0 + p1) / 2, float(at))
             point = settle(CUSP, guess, theta, leaf_of(theta, "chamber_volume"), 2 / (s0 + s1))
             if point[5] == int(Code.ok) and low <= point[6] <= high:

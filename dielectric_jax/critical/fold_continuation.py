@@ -23,11 +23,11 @@ from ..model import (
     largest_load,
     locking_stretch,
 )
-from ..numerics import SceneError, kept_jit
+from ..numerics import SceneError, cached_jit
 from .critical_points import Found, find, start_of
 from .fixed_load import zero_states
 from .point_systems import BREAKDOWN, PRESSURE, PRESSURE_FOLD, VOLUME, Conditions, Solution, linearised
-from .rim import ByShooting
+from .rim import ShotRim
 
 __all__ = ["LARGEST_LOAD", "ConditionsOver", "Followed", "Lost", "Place", "System", "follow"]
 
@@ -74,7 +74,7 @@ def _conditions_program(name: str) -> Callable:
     def conditions_at(scene, start, value):
         return _conditions_at(name, scene, start, value)
 
-    return kept_jit(conditions_at)
+    return cached_jit(conditions_at)
 
 
 def _conditions_at(name: str, scene: Scene, start: Found | None, value):
@@ -84,10 +84,10 @@ def _conditions_at(name: str, scene: Scene, start: Found | None, value):
         own = scene.replace(**{name: value})
         if isinstance(own.loading, ConstantVoltage):
             load = jnp.asarray(own.loading.voltage, float) ** 2
-            return _floats(Conditions(own.membrane, own.loading.contour(), load))
+            return _floats(Conditions(own.membrane, own.loading.condition(), load))
         if start is not None:
             return _floats(start_of(own, start, None)[1])
-        return _floats(Conditions(own.membrane, own.loading.contour()))
+        return _floats(Conditions(own.membrane, own.loading.condition()))
 
     return jax.jvp(conditions, (value,), (jnp.ones_like(value),))
 
@@ -125,7 +125,7 @@ class ConditionsOver:
         target = typing.cast(Chamber, scene.loading).initial_pressure
         if target is None:
             return
-        smallest = zero_states(scene.membrane, ConstantPressure(float(target)).contour())
+        smallest = zero_states(scene.membrane, ConstantPressure(float(target)).condition())
         if not (smallest and abs(smallest[0][0] - self.filling) < 1e-6):
             self.begin_anew()
             raise _NoFilling
@@ -156,7 +156,7 @@ class ConditionsOver:
         loading = typing.cast(Chamber, scene.loading)
         by_volume = loading.initial_volume is not None
         kind, target = (VOLUME, loading.initial_volume) if by_volume else (PRESSURE, loading.initial_pressure)
-        held = _floats(Conditions(scene.membrane, ConstantVoltage(0.0).contour(), target))
+        held = _floats(Conditions(scene.membrane, ConstantVoltage(0.0).condition(), target))
         state = None if self.start is None else _settled(kind, self.start.state, held, steps)
         if state is None:
             self.start = _fill(scene)
@@ -169,7 +169,7 @@ class ConditionsOver:
 
 def _settled(kind: str, last: Solution, held: Conditions, steps: float) -> Solution | None:
     """The state of a kind near the last one, by shots of so many steps; None where Newton does not settle."""
-    u, engine = np.array([float(v) for v in last[:3]]), ByShooting(np.asarray(steps))
+    u, engine = np.array([float(v) for v in last[:3]]), ShotRim(np.asarray(steps))
     for _ in range(8):
         value, by_u = (np.asarray(v) for v in linearised(kind, (), engine, u, held)[:2])
         move = -np.linalg.solve(by_u[:3], value[:3])
@@ -216,7 +216,7 @@ class System:
         """F (3,), its Jacobian (3, 4) by z, rows scaled, and V."""
         theta, moving, rates = self.conditions.at(self.value(z[3]), steps)
         self.membrane = theta.membrane
-        value, by_u, by_theta = linearised(self.kind, moving, ByShooting(np.asarray(steps)), z[:3] * SCALE, theta)
+        value, by_u, by_theta = linearised(self.kind, moving, ShotRim(np.asarray(steps)), z[:3] * SCALE, theta)
         value, by_u, by_theta = (np.asarray(v) for v in (value, by_u, by_theta))
         along = by_theta @ rates * self.rate(z[3]) if moving else np.zeros(len(value))
         jacobian = np.concatenate([by_u * SCALE, along[:, None]], axis=1)[:3]
@@ -226,7 +226,7 @@ class System:
     def _fraction(self, u) -> float:
         return float(u[2] / largest_load(self.membrane.material, u[:1])[0])
 
-    def meet(self, z: np.ndarray, row: np.ndarray, target: float, towards, reach=0.3, finer=0) -> Place:
+    def correct(self, z: np.ndarray, row: np.ndarray, target: float, towards, reach=0.3, finer=0) -> Place:
         """The point of the curve with row·z = target near z; its tangent points `towards`. Raises Lost.
 
         The tangent is that before Newton's last move, which a grid further on makes smaller (`finer`).
@@ -275,7 +275,7 @@ def _between(system: System, one: Place, other: Place, function: typing.Any) -> 
     if isinstance(function, tuple):
         column, level = function
         share = (level - one.z[column]) / (other.z[column] - one.z[column])
-        return system.meet(one.z + share * (other.z - one.z), np.eye(4)[column], level, one.tangent, 2.0)
+        return system.correct(one.z + share * (other.z - one.z), np.eye(4)[column], level, one.tangent, 2.0)
     chord = other.z - one.z
     slopes = [p.tangent * (chord @ chord / (p.tangent @ chord)) for p in (one, other)]
     known = {0.0: one, 1.0: other}
@@ -283,7 +283,7 @@ def _between(system: System, one: Place, other: Place, function: typing.Any) -> 
     def value(s: float) -> float:
         if s not in known:
             guess = hermite(one.z, other.z, slopes[0], slopes[1], 1.0, s)
-            known[s] = system.meet(guess, chord, float(chord @ guess), one.tangent, finer=1)
+            known[s] = system.correct(guess, chord, float(chord @ guess), one.tangent, finer=1)
         return float(function(known[s]))
 
     s = float(brentq(value, 0.0, 1.0, xtol=_PLACE))  # pyright: ignore[reportArgumentType]
@@ -360,7 +360,7 @@ def _ahead(system: System, here: Place, step: float, bend) -> tuple[Place | None
     """The next place, its prediction, and which bound it lies on, if it does; None where a bound is here already."""
     guess = here.z + step * here.tangent + step**2 / 2 * bend
     if 0 <= guess[3] <= 1:
-        there = system.meet(guess, here.tangent, here.tangent @ guess, here.tangent, 2 * step)
+        there = system.correct(guess, here.tangent, here.tangent @ guess, here.tangent, 2 * step)
         if 0 <= there.z[3] <= 1:
             return there, guess, ""
         guess = there.z
@@ -368,7 +368,7 @@ def _ahead(system: System, here: Place, step: float, bend) -> tuple[Place | None
     if abs(here.z[3] - bound) < _ON:
         return None, guess, end
     guess = here.z + (guess - here.z) * (bound - here.z[3]) / (guess[3] - here.z[3])
-    return system.meet(guess, np.eye(4)[3], bound, here.tangent, 2 * step), guess, end
+    return system.correct(guess, np.eye(4)[3], bound, here.tangent, 2 * step), guess, end
 
 
 def _passed(system: System, here: Place, there: Place, levels: np.ndarray, largest_ratio: float, end: str):

@@ -42,7 +42,7 @@ class Scenes(Sequence):
             return jax.tree.unflatten(self.tree, [np.asarray(leaf[which]) for leaf in self.leaves])
         return Scenes(self.tree, [leaf[which] for leaf in self.leaves])
 
-    def columns(self) -> Scene:
+    def stacked(self) -> Scene:
         """One scene whose leaves are columns."""
         return jax.tree.unflatten(self.tree, self.leaves)
 
@@ -51,7 +51,7 @@ class Scenes(Sequence):
         code = np.full(len(self), int(Code.ok))
         if surface is not None:
             own, tree = jax.tree.flatten(surface.membrane)
-            seen, same = jax.tree.flatten(self.columns().membrane)
+            seen, same = jax.tree.flatten(self.stacked().membrane)
             if tree != same:
                 code[:] = int(Code.other_membrane)
             else:
@@ -63,7 +63,7 @@ class Scenes(Sequence):
     def _valid(self, surface: Surface | None) -> np.ndarray:
         finite = [np.isfinite(leaf).reshape(len(self), -1).all(axis=1) for leaf in self.leaves]
         good: typing.Any = np.all(finite, axis=0)
-        loading = self.columns().loading
+        loading = self.stacked().loading
         for name in loading.__dataclass_fields__:
             value = getattr(loading, name)
             if value is not None:

@@ -21,9 +21,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..model import Contour, Membrane, field_ratio_squared
-from ..numerics import kept_jit
-from .rim import AbstractEngine, entries, perturbed, towers
+from ..model import LoadingCondition, Membrane, field_ratio_squared
+from ..numerics import cached_jit
+from .rim import AbstractRim, entries, jets, perturbed
 
 __all__ = [
     "Conditions",
@@ -46,19 +46,19 @@ class Conditions(eqx.Module):
     """The equations of a kind of point: membrane, loading, and the target of kinds that have one (a load, V or p)."""
 
     membrane: Membrane
-    contour: Contour
+    condition: LoadingCondition
     target: typing.Any = 0.0
 
 
-def _equations(kind: str, engine: AbstractEngine, rims, u, theta: Conditions):
+def _equations(kind: str, engine: AbstractRim, rims, u, theta: Conditions):
     """F(u, θ) and V, from `rim` and as many of its derivatives as the kind needs."""
-    contour = theta.contour
+    condition = theta.condition
 
     def determinant(rim, slopes, u):
         """det ∂(r, g)/∂(λa, p), and ∂r/∂(λa, p)."""
         by_r = jax.jvp(lambda g, u: engine.residual(theta.membrane, u, g), (rim[0], u), (slopes[0, 0], _AXES[0]))[1]
         by_p = jax.jvp(lambda g, u: engine.residual(theta.membrane, u, g), (rim[0], u), (slopes[0, 1], _AXES[1]))[1]
-        of_p, of_v, _ = contour.slopes(rim[1])
+        of_p, of_v, _ = condition.slopes(rim[1])
         return by_r * (of_p + of_v * slopes[1, 1]) - by_p * of_v * slopes[1, 0], by_r, by_p
 
     rim = rims[0]
@@ -73,7 +73,7 @@ def _equations(kind: str, engine: AbstractEngine, rims, u, theta: Conditions):
             push = rims[1] @ _AXES[0], rims[2] @ _AXES[0], _AXES[0]
             rows.append(jax.jvp(lambda *v: determinant(*v)[1], (rim, rims[1], u), push)[1])
     else:
-        rows = [residual, contour.residual(u[1], rim[1], u[2])]
+        rows = [residual, condition.residual(u[1], rim[1], u[2])]
         if kind == LEVEL:
             rows.append(u[2] - theta.target)
         elif kind == BREAKDOWN:
@@ -99,7 +99,7 @@ def _program(function: Callable, *fixed) -> Callable:
         return function(*fixed, *args)
 
     program.__name__ = function.__name__.strip("_")
-    return kept_jit(program)
+    return cached_jit(program)
 
 
 def _assemble(kind: str, wanted: tuple, engine, u, theta: Conditions, rims, by_leaf: dict):
@@ -134,9 +134,9 @@ def _assemble(kind: str, wanted: tuple, engine, u, theta: Conditions, rims, by_l
     return value, jnp.stack(by_u, axis=1), by_theta
 
 
-def linearised(kind: str, wanted: tuple, engine: AbstractEngine, u, theta: Conditions):
+def linearised(kind: str, wanted: tuple, engine: AbstractRim, u, theta: Conditions):
     """F and V (k,), their derivatives by u (k, 3), and by the numbers in the leaves of θ in `wanted` (k, numbers)."""
-    rims, by_leaf = towers(engine, theta.membrane, u, _ORDER.get(kind, 0), wanted)
+    rims, by_leaf = jets(engine, theta.membrane, u, _ORDER.get(kind, 0), wanted)
     return _program(_assemble, kind, wanted)(engine, u, theta, rims, by_leaf)
 
 
@@ -164,7 +164,7 @@ def _move(kind: str, value, by_u, by_theta):
     return -_solve(_unknowns(kind, by_u, by_theta)[:-1], value[:-1, None])[:, 0]
 
 
-def correction(kind: str, engine: AbstractEngine, u, theta: Conditions, free: int | None = None):
+def correction(kind: str, engine: AbstractRim, u, theta: Conditions, free: int | None = None):
     """F(u, θ), Newton's move −F_x⁻¹ F of the unknowns x of a kind of point, and V.
 
     The unknowns are (λa, p, q), or with a `free` leaf of θ (λa, p, leaf) or (λa, p, q, leaf).
@@ -215,7 +215,7 @@ def _with_free(theta: Conditions, free: int | None, value) -> Conditions:
     return tree.unflatten([*leaves[:free], value, *leaves[free + 1 :]])
 
 
-def attach(state: Solution, theta: Conditions, kind: str, engine: AbstractEngine, free: int | None = None) -> Solution:
+def attach(state: Solution, theta: Conditions, kind: str, engine: AbstractRim, free: int | None = None) -> Solution:
     """The `state`, known to solve the equations of `kind` at θ, with its derivatives by θ.
 
     `free` names the leaf of θ that is an unknown itself; its value is the state's.
@@ -223,7 +223,7 @@ def attach(state: Solution, theta: Conditions, kind: str, engine: AbstractEngine
     return _attach(state, theta, kind, engine, free)
 
 
-def attach_free(value, state: Solution, theta: Conditions, engine: AbstractEngine, free: int | None = None):
+def attach_free(value, state: Solution, theta: Conditions, engine: AbstractRim, free: int | None = None):
     """What a known fold is a fold of, its load q or with `free` that leaf of θ, with its derivatives by θ."""
     return _attach_free(value, state, theta, engine, free)
 

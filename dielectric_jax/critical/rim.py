@@ -9,13 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..model import Membrane, shoot
-from ..numerics import kept_jit
+from ..numerics import cached_jit
 from ..surface import Surface
 
-__all__ = ["AbstractEngine", "ByShooting", "OnSheet", "entries", "perturbed", "towers"]
+__all__ = ["AbstractRim", "ShotRim", "SurfaceRim", "entries", "jets", "perturbed"]
 
 
-class AbstractEngine(eqx.Module):
+class AbstractRim(eqx.Module):
     """Gives the rim's residual, zero in equilibrium, and the volume, at (λa, p, q)."""
 
     def rim(self, membrane: Membrane, u):
@@ -31,14 +31,14 @@ class AbstractEngine(eqx.Module):
         raise NotImplementedError
 
 
-class ByShooting(AbstractEngine):
+class ShotRim(AbstractRim):
     """By shooting with `steps` steps: r = λ2(1) − λ0."""
 
     steps: typing.Any = 48.0
 
     def rim(self, membrane, u):
         end = shoot(membrane.material, u[0], u[1], u[2], steps=self.steps)
-        return jnp.stack([end.lag, end.volume])
+        return jnp.stack([end.stretch_change, end.volume])
 
     def residual(self, membrane, u, given):
         return given - (membrane.prestretch - u[0])
@@ -47,7 +47,7 @@ class ByShooting(AbstractEngine):
         return len(jax.tree.leaves(membrane.material))
 
 
-class OnSheet(AbstractEngine):
+class SurfaceRim(AbstractRim):
     """By a surface: r = p − p(λa, q). Its derivatives by the membrane are those of the shot."""
 
     surface: Surface
@@ -55,7 +55,7 @@ class OnSheet(AbstractEngine):
 
     def rim(self, membrane, u):
         own = membrane.material, membrane.prestretch
-        return _sheet(own, jnp.stack([u[0], u[2]]), 0, self)
+        return _on_surface(own, jnp.stack([u[0], u[2]]), 0, self)
 
     def residual(self, membrane, u, given):
         return u[1] - given
@@ -72,7 +72,7 @@ def _derivatives(function, order: int):
 
 
 @eqx.filter_custom_jvp
-def _sheet(own, place, order, engine):
+def _on_surface(own, place, order, engine):
     """The derivatives of an order of p and V by `place` (λa, q): an array (2, 2, …).
 
     The surface is of one membrane. What changes with `own`, material and prestretch, the shot tells, for every order, so
@@ -86,13 +86,13 @@ def _sheet(own, place, order, engine):
     return _derivatives(read, order)(place)
 
 
-@_sheet.def_jvp
+@_on_surface.def_jvp
 def _(primals, tangents):
     (own, place, order, engine), (of_own, of_place, _, _) = primals, tangents
-    value = _sheet(own, place, order, engine)
+    value = _on_surface(own, place, order, engine)
     moved = jnp.zeros_like(value)
     if of_place is not None:
-        moved = moved + _sheet(own, place, order + 1, engine) @ of_place
+        moved = moved + _on_surface(own, place, order + 1, engine) @ of_place
     leaves, tree = jax.tree.flatten(own)
     for k, move in zip(*perturbed(of_own), strict=True):
         leaf = jnp.asarray(leaves[k], float)
@@ -100,12 +100,12 @@ def _(primals, tangents):
 
             def by_leaf(place, k=k, leaf=leaf, entry=entry):
                 """∂p/∂m = −(∂lag/∂m)/(∂lag/∂p) and ∂V/∂m at given (λa, q)."""
-                p = _sheet(own, place, 0, engine)[0]
+                p = _on_surface(own, place, 0, engine)[0]
 
                 def shot(p, size):
                     material, prestretch = tree.unflatten([*leaves[:k], leaf + size * entry, *leaves[k + 1 :]])
                     end = shoot(material, place[0], p, place[1], steps=engine.steps)
-                    return jnp.stack([end.lag - (prestretch - place[0]), end.volume])
+                    return jnp.stack([end.stretch_change - (prestretch - place[0]), end.volume])
 
                 of_p, of_leaf = jax.jacfwd(shot, (0, 1))(p, 0.0)
                 by_p = -of_leaf[0] / of_p[0]
@@ -128,13 +128,13 @@ def perturbed(tangents) -> tuple:
     return which, [moves[k] for k in which]
 
 
-def _towers(engine: AbstractEngine, membrane, u, order: int):
+def _jets(engine: AbstractRim, membrane, u, order: int):
     """`rim` and its derivatives by u up to an order: arrays (2,), (2, 3), (2, 3, 3), …"""
     if order == 0:
         return (engine.rim(membrane, u),)
 
     def lower(u):
-        values = _towers(engine, membrane, u, order - 1)
+        values = _jets(engine, membrane, u, order - 1)
         return values[-1], values
 
     highest, values = jax.jacfwd(lower, has_aux=True)(u)
@@ -142,30 +142,30 @@ def _towers(engine: AbstractEngine, membrane, u, order: int):
 
 
 @functools.cache
-def _towers_program(order: int):
-    def towers(engine, membrane, u):
-        return _towers(engine, membrane, u, order)
+def _jets_program(order: int):
+    def jets(engine, membrane, u):
+        return _jets(engine, membrane, u, order)
 
-    towers.__name__ = f"towers_{order}"
-    return kept_jit(towers)
+    jets.__name__ = f"towers_{order}"
+    return cached_jit(jets)
 
 
 @functools.cache
-def _towers_by_leaf_program(order: int, k: int):
+def _jets_by_leaf_program(order: int, k: int):
     """The derivatives of the towers by leaf k of the membrane, along a last axis by each of its numbers."""
 
-    def towers_by_leaf(engine, membrane, u):
+    def jets_by_leaf(engine, membrane, u):
         leaves, tree = jax.tree.flatten(membrane)
 
         def of_leaf(leaf):
-            return _towers(engine, tree.unflatten([*leaves[:k], leaf, *leaves[k + 1 :]]), u, order)
+            return _jets(engine, tree.unflatten([*leaves[:k], leaf, *leaves[k + 1 :]]), u, order)
 
         leaf = jnp.asarray(leaves[k], float)
         columns = [jax.jvp(of_leaf, (leaf,), (jnp.asarray(entry),))[1] for entry in entries(leaf)]
         return jax.tree.map(lambda *v: jnp.stack(v, axis=-1), *columns)
 
-    towers_by_leaf.__name__ = f"towers_{order}_by_{k}"
-    return kept_jit(towers_by_leaf)
+    jets_by_leaf.__name__ = f"towers_{order}_by_{k}"
+    return cached_jit(jets_by_leaf)
 
 
 def _held(membrane: Membrane) -> Membrane:
@@ -173,9 +173,9 @@ def _held(membrane: Membrane) -> Membrane:
     return eqx.tree_at(lambda m: m.breakdown, membrane, None)
 
 
-def towers(engine: AbstractEngine, membrane: Membrane, u, order: int, leaves: tuple):
+def jets(engine: AbstractRim, membrane: Membrane, u, order: int, leaves: tuple):
     """`rim` and its derivatives by u up to order + 1, and for each of the membrane's leaves those up to order by it."""
     held = _held(membrane)
-    rims = _towers_program(order + 1)(engine, held, u)
+    rims = _jets_program(order + 1)(engine, held, u)
     own = [k for k in leaves if k < engine.own_leaves(held)]
-    return tuple(rims), {k: tuple(_towers_by_leaf_program(order, k)(engine, held, u)) for k in own}
+    return tuple(rims), {k: tuple(_jets_by_leaf_program(order, k)(engine, held, u)) for k in own}

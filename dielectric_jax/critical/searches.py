@@ -11,25 +11,25 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..diagram import (
-    Crowd,
     Ramps,
+    SceneBatch,
     branch_problem,
     chamber_ramps,
-    columns_of,
+    condition_of,
     continue_scenes,
-    contour_of,
     first_folds_on,
-    loading_columns,
+    loading_arrays,
     pressure_ramps,
+    stacked,
     starts,
     voltage_volume,
 )
 from ..model import SCALE, ConstantVoltage, Outcome, Scene, State, locking_stretch
-from ..numerics import Code, SceneError, Steps, advance, begin, kept_jit
+from ..numerics import Code, SceneError, Steps, advance, begin, cached_jit
 from ..surface import Surface
 from .host_scenes import Scenes
 from .point_systems import FOLD, Conditions, correction
-from .rim import ByShooting, towers
+from .rim import ShotRim, jets
 
 __all__ = ["EVENTS", "first_folds", "first_folds_on_surface", "ramp_events"]
 
@@ -51,13 +51,13 @@ _MANY = 8  # scenes from which a batch is worth it
 _HIDDEN = 0.02  # of the larger slope of q: an interval on which q rises more slowly may hide a pair of folds
 
 
-@kept_jit
-def _climb_program(material, prestretch, contour, limits, seed, accuracy, tops, lengths):
+@cached_jit
+def _climb_program(material, prestretch, condition, limits, seed, accuracy, load_limits, lengths):
     """The branch from a state at zero voltage until q no longer rises: the last two points, their tangents, and why.
 
     The last number tells how slowly q rose on any interval before, by the slopes at its ends.
     """
-    problem = branch_problem(material, prestretch, contour, limits, accuracy, tops, lengths, _STEPS)
+    problem = branch_problem(material, prestretch, condition, limits, accuracy, load_limits, lengths, _STEPS)
     walk = begin(problem, seed, jnp.array([0.0, 0.0, 1.0]))
     shares = jnp.linspace(0.0, 1.0, 9)[1:-1]
 
@@ -102,14 +102,14 @@ def _turn(before, after):
     return x0 + a * s + b * s**2 / 2 + c * s**3 / 3, rate / size, (b + 2 * c * s)[2] / size**2
 
 
-def _on_finer_grid(membrane, contour, u, volume, way, slope: float):
+def _on_finer_grid(membrane, condition, u, volume, way, slope: float):
     """A fold moved along its branch to where the tangent of a finer grid says that q turns.
 
     `slope` is d(dq)/ds along the unit tangent `way`, in scaled unknowns.
     """
-    (_, slopes), _ = towers(ByShooting(np.asarray(48.0)), membrane, u, 0, ())
+    (_, slopes), _ = jets(ShotRim(np.asarray(48.0)), membrane, u, 0, ())
     slopes = np.array(slopes)
-    by_p, by_v, by_q = (float(v) for v in contour.slopes(volume))
+    by_p, by_v, by_q = (float(v) for v in condition.slopes(volume))
     rows = np.stack([slopes[0] + [1.0, 0.0, 0.0], by_v * slopes[1] + [0.0, by_p, by_q]]) * SCALE
     tangent = np.cross(*rows) / np.linalg.norm(np.cross(*rows))
     tangent *= np.sign(tangent @ way)
@@ -134,28 +134,28 @@ def _no(code: Code) -> np.ndarray:
 def _first_fold(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """The start of one scene, and the first fold of q on the stable branch from it."""
     locks = np.array([locking_stretch(scene.membrane)])
-    membrane = columns_of([scene.membrane])
-    nothing = columns_of([ConstantVoltage(0.0).contour()])
-    start = starts([scene], Crowd(membrane, nothing, locks, alone=True), _TOLERANCE)
+    membrane = stacked([scene.membrane])
+    nothing = stacked([ConstantVoltage(0.0).condition()])
+    start = starts([scene], SceneBatch(membrane, nothing, locks, alone=True), _TOLERANCE)
     if not start.ok[0]:
         return _by_diagram(scene, "snap")
     at = _point(start.u[0], start.volume[0], start.error[0])
     if start.index[0] != 0:
         return at, _no(Code.start_unstable)
-    contour = contour_of(scene, start.u[0, 1], start.volume[0])
-    crowd = Crowd(membrane, columns_of([contour]), locks, alone=True)
+    condition = condition_of(scene, start.u[0, 1], start.volume[0])
+    scene_batch = SceneBatch(membrane, stacked([condition]), locks, alone=True)
     limits, lengths = _box(scene), np.array([2e-5, 0.6, 0.6])
     for accuracy, top in zip(_GRIDS, ((0.7, 0.85), (0.82, 0.97), (2.0, 2.0)), strict=True):
         grid = accuracy, np.array(top), lengths
-        own = scene.membrane.material, scene.membrane.prestretch, contour, limits, start.u[0]
+        own = scene.membrane.material, scene.membrane.prestretch, condition, limits, start.u[0]
         before, after, passed, code, least = jax.tree.map(np.asarray, _climb_program(*own, *grid))
         if passed and least > _HIDDEN:
             place, tangent, slope = _turn(before, after)
-            found = crowd.meet_folds(
+            found = scene_batch.correct_folds(
                 np.zeros(1, int), (place * SCALE)[None], tangent[None], np.array([slope]), tolerance=1e-9, reach=0.3
             )
             if found.ok[0]:
-                u, volume = _on_finer_grid(scene.membrane, contour, found.u[0], found.volume[0], tangent, slope)
+                u, volume = _on_finer_grid(scene.membrane, condition, found.u[0], found.volume[0], tangent, slope)
                 return at, _point(u, volume, found.error[0])
         if least <= _HIDDEN:
             break
@@ -286,7 +286,7 @@ def _table_of(ramps: Ramps) -> dict[str, np.ndarray]:
 
 def first_folds_on_surface(scenes: Scenes, surface: Surface) -> dict[str, np.ndarray]:
     """`first_folds` of scenes of one membrane on its surface; shooting decides what the surface does not."""
-    found = first_folds_on(surface, loading_columns(scenes.columns().loading, surface))
+    found = first_folds_on(surface, loading_arrays(scenes.stacked().loading, surface))
     code = np.full((*found.shape[:-1], 1), float(Code.ok))
     found = np.concatenate([found[..., [0, 1, 3, 2, 4]], code], axis=-1)
     unknown = np.flatnonzero(~np.isfinite(found[:, 1, 0]))
@@ -300,14 +300,14 @@ def first_folds_on_surface(scenes: Scenes, surface: Surface) -> dict[str, np.nda
 
 def _settled_fold(scene: Scene, start: np.ndarray, fold: np.ndarray) -> np.ndarray:
     """A fold known well enough to tell its load, moved to its exact place."""
-    contour = contour_of(scene, float(start[1]), float(start[3]))
-    theta = Conditions(scene.membrane, contour, np.asarray(0.0))
-    engine = ByShooting(np.asarray(48.0))
+    condition = condition_of(scene, float(start[1]), float(start[3]))
+    theta = Conditions(scene.membrane, condition, np.asarray(0.0))
+    engine = ShotRim(np.asarray(48.0))
     _, move, _ = correction(FOLD, engine, fold[:3], theta)
     move = np.asarray(move)
     if not np.abs(move / SCALE).max() < 1e-3:  # its grid is too coarse for this state
         return fold
-    ((_, volume), *_), _ = towers(engine, scene.membrane, fold[:3] + move, 0, ())
+    ((_, volume), *_), _ = jets(engine, scene.membrane, fold[:3] + move, 0, ())
     # the load is the search's: it saw the finer grid
     return np.array([fold[0] + move[0], fold[1] + move[1], fold[2], float(volume), *fold[4:]])
 
@@ -320,7 +320,7 @@ def ramp_events(scenes: Scenes, surface: Surface | None = None, *, alone: bool =
     if surface is None:
         ramps = continue_scenes(list(scenes)).ramps
     else:
-        given = loading_columns(scenes.columns().loading, surface)
+        given = loading_arrays(scenes.stacked().loading, surface)
         ramps = pressure_ramps(surface, **given) if "pressure" in given else chamber_ramps(surface, **given)
     table = _table_of(ramps)
     unknown = ramps.outcome == Outcome.unresolved

@@ -203,7 +203,7 @@ def _followed(system: System, shares, seeds: list, largest_ratio: float) -> tupl
             continue
         system.conditions.begin_anew()
         try:
-            start = system.meet(z, np.array([0.0, 0.0, 0.0, 1.0]), z[3], np.ones(4))
+            start = system.correct(z, np.array([0.0, 0.0, 0.0, 1.0]), z[3], np.ones(4))
         except (Lost, SceneError, ValueError):
             doubts.append((z, " of the diagram was not met by Newton."))
             continue

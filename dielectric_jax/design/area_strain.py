@@ -209,7 +209,7 @@ def _is_true(climb: Climb, z: np.ndarray, names: tuple) -> bool:
     for j in np.flatnonzero(climb.held):
         scenario = climb.scenes[j]
         given = dict(zip(names, (climb.place(moved)[0] * scenario.factors)[:, None], strict=True))
-        ramps = classify_designs(scenario.real, given, surface=scenario.sheet, whole=False).ramps
+        ramps = classify_designs(scenario.real, given, surface=scenario.surface, whole=False).ramps
         mine = climb.unknowns(moved)[j][: 1 + 3 * climb.kind.snaps]
         if ramps.outcome[0] == Outcome.unresolved:
             values = {n: float(v[0]) for n, v in given.items()}
@@ -272,8 +272,8 @@ def _answer(scene: Scene, best, evaluations: int, compare: int, check: bool, sha
     diagram = None
     if check:
         checked = scene.replace(**near)
-        sheet = climb.scenes[0].given
-        own = None if isinstance(sheet, SurfaceFamily) else surface_for(checked.membrane, sheet)
+        surface = climb.scenes[0].given
+        own = None if isinstance(surface, SurfaceFamily) else surface_for(checked.membrane, surface)
         diagram = voltage_volume(checked, surface=own)
     parameters = dict(zip(climb.names, x.tolist(), strict=True))
     scan = _compared(climb, compare, float(np.expm1(growth)), share) if compare else None

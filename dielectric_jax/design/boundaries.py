@@ -15,16 +15,16 @@ The last lies beyond the surface's domain: its state at λ2 is shot.
 
 import numpy as np
 
-from ..diagram import landings_on, loading_columns
+from ..diagram import landings_on, loading_arrays
 from ..model import SCANNED_LOAD, SNAPPING, Regime, Scene
 from ..surface import Surface
-from .conditions import FarStates, solve_on_sheet
+from .conditions import FarStates, solve_on_surface
 from .designs import Designs, designs_of
 
 __all__ = [
     "FOLD_BREAKS",
     "LANDING_BREAKS",
-    "LANDING_LEAVES",
+    "LANDING_LOST",
     "MERGING",
     "REST",
     "START",
@@ -32,11 +32,11 @@ __all__ = [
     "guesses",
     "has_event",
     "kind_between",
-    "meet",
+    "located",
     "with_landing",
 ]
 
-START, MERGING, FOLD_BREAKS, LANDING_BREAKS, REST, LANDING_LEAVES = (
+START, MERGING, FOLD_BREAKS, LANDING_BREAKS, REST, LANDING_LOST = (
     "start unstable",
     "two folds merge",
     "fold at breakdown",
@@ -63,7 +63,7 @@ def kind_between(one: Regime, other: Regime) -> str | None:
     if pair == {Regime.stays, Regime.returns}:
         return REST
     if Regime.breaks_in_snap in pair:
-        return LANDING_LEAVES if Regime.no_landing in pair else LANDING_BREAKS
+        return LANDING_LOST if Regime.no_landing in pair else LANDING_BREAKS
     return None
 
 
@@ -76,7 +76,7 @@ def has_event(kind: str, regime: np.ndarray) -> np.ndarray:
         return regime == Regime.returns
     if kind in (MERGING, FOLD_BREAKS):
         return snaps | (regime == Regime.breaks_before_snap)
-    if kind == LANDING_LEAVES:
+    if kind == LANDING_LOST:
         return regime == Regime.breaks_in_snap
     return snaps & ~np.isin(regime, [int(Regime.no_landing), int(Regime.breaks_in_snap)])
 
@@ -89,7 +89,7 @@ def guesses(kind: str, designs: Designs, which: np.ndarray) -> np.ndarray:
     snap, load = (v[which, last] for v in (ramps.snap.apex_stretch, ramps.snap.voltage**2))
     if kind == START:
         return start[:, None]
-    if kind == LANDING_LEAVES:
+    if kind == LANDING_LOST:
         return np.stack([start, snap, load], axis=1)
     if kind == LANDING_BREAKS:
         return np.stack([start, snap, load, ramps.landing.apex_stretch[which, last]], axis=1)
@@ -106,7 +106,7 @@ def guesses(kind: str, designs: Designs, which: np.ndarray) -> np.ndarray:
 def with_landing(surface: Surface, scene: Scene, names: tuple, values: np.ndarray, guess: np.ndarray) -> np.ndarray:
     """Guesses (start, snap, load) of designs with λa and p of the landings, as the scan of the membrane shows them."""
     loading = designs_of(scene, dict(zip(names, values.T, strict=True))).loading
-    return np.concatenate([guess, landings_on(surface, loading_columns(loading, surface), guess[:, 1:])], axis=1)
+    return np.concatenate([guess, landings_on(surface, loading_arrays(loading, surface), guess[:, 1:])], axis=1)
 
 
 def completed(guess: np.ndarray, places: np.ndarray) -> np.ndarray:
@@ -146,7 +146,7 @@ def _landing_breaks(on, u):
     return [*_fold(on, u), on.excess(2, u[3], u[2]), on.field(u[3], u[2])], []
 
 
-def _landing_leaves(on, u):
+def _landing_lost(on, u):
     edge = u[2] / (SCANNED_LOAD * on.membrane.largest_load(u[3])) - 1
     return [*_fold(on, u), on.excess(2, u[3], u[2]), edge], []
 
@@ -158,11 +158,11 @@ _EQUATIONS = {
     MERGING: (_merging, ((0, -1), (1, 2))),
     FOLD_BREAKS: (_fold_breaks, ((0, -1), (1, 2))),
     LANDING_BREAKS: (_landing_breaks, ((0, -1), (1, 2), (3, 2))),
-    LANDING_LEAVES: (_landing_leaves, ((0, -1), (1, 2), (3, 2))),
+    LANDING_LOST: (_landing_lost, ((0, -1), (1, 2), (3, 2))),
 }
 
 
-def meet(
+def located(
     kind: str, surface: Surface, scene: Scene, names: tuple, begin, end, guess, beyond
 ) -> tuple[np.ndarray, np.ndarray]:
     """Where between designs `begin` and `end` (n, parameters) a boundary of a kind lies: s (n,), NaN where it is not met.
@@ -176,19 +176,19 @@ def meet(
         unknowns, off = guess[todo], np.zeros((len(todo), 1))
         ends = begin[todo], end[todo]
         halfway = np.full((len(todo), 1), 0.5)
-        if kind == LANDING_LEAVES:
+        if kind == LANDING_LOST:
             first, unknowns = unknowns[:, 4], unknowns[:, :4]
             for steps in _FAR_STEPS:
                 far = FarStates(surface.membrane, first, steps)
                 at = np.append(unknowns, halfway, axis=1)
-                found = solve_on_sheet(
+                found = solve_on_surface(
                     equations, points, surface, scene, names, at, *ends, lanes=_LANES, last_move=1e-9, far=far
                 )
                 unknowns, first = found.unknowns[:, :-1], far.pressure
                 off, halfway = np.abs(found.unknowns[:, -1:] - halfway), found.unknowns[:, -1:]
         else:
             at = np.append(unknowns, halfway, axis=1)
-            found = solve_on_sheet(equations, points, surface, scene, names, at, *ends, lanes=_LANES, last_move=1e-13)
+            found = solve_on_surface(equations, points, surface, scene, names, at, *ends, lanes=_LANES, last_move=1e-13)
         place = found.unknowns[:, -1]
         with np.errstate(invalid="ignore"):
             good = (found.size < 1e-8) & (np.abs(place - 0.5) <= 0.5 + 1e-6 + beyond[todo])

@@ -24,10 +24,10 @@ from ..model import (
     largest_load,
     run_chunks,
 )
-from ..numerics import kept_jit
+from ..numerics import cached_jit
 from ..surface import ById, Surface, SurfaceFamily, rows_of
 
-__all__ = ["FarStates", "SheetConditions", "Solved", "solve_on_sheet"]
+__all__ = ["FarStates", "Solved", "SurfaceConditions", "solve_on_surface"]
 
 
 _TRIES, _SETTLED = 12, 1e-8  # Newton's last move of p as a share, squared in what is left
@@ -49,20 +49,24 @@ class FarStates:
         """
         apex, load = places.T
         p, rim = self.pressure.copy(), float(self.membrane.prestretch)
-        volume, of_lag, of_volume = np.full(len(p), np.nan), np.full((3, len(p)), np.nan), np.full((3, len(p)), np.nan)
+        volume, of_stretch, of_volume = (
+            np.full(len(p), np.nan),
+            np.full((3, len(p)), np.nan),
+            np.full((3, len(p)), np.nan),
+        )
         todo = np.flatnonzero(np.isfinite(places).all(axis=1) & (p > 0))
         p[np.setdiff1d(np.arange(len(p)), todo)] = np.nan
         for _ in range(_TRIES):
             if not len(todo):
                 break
             u = np.stack([apex[todo], p[todo], load[todo]])
-            lag, volume[todo], columns, _ = run_chunks(
+            stretch_change, volume[todo], sensitivities, _ = run_chunks(
                 lambda part: jacobian_program(self.membrane.material, part, self.steps), u
             )
-            of_lag[:, todo], of_volume[:, todo] = columns[:, 0], columns[:, 1]
-            of_lag[0, todo] += 1.0
+            of_stretch[:, todo], of_volume[:, todo] = sensitivities[:, 0], sensitivities[:, 1]
+            of_stretch[0, todo] += 1.0
             with np.errstate(all="ignore"):
-                move = -(lag - (rim - u[0])) / of_lag[1, todo]
+                move = -(stretch_change - (rim - u[0])) / of_stretch[1, todo]
                 move = np.clip(move, -0.5 * u[1], u[1])
             p[todo] += move
             volume[todo] += of_volume[1, todo] * move
@@ -70,7 +74,7 @@ class FarStates:
         p[todo] = np.nan
         self.pressure = np.where(np.isfinite(p), p, self.pressure)
         with np.errstate(all="ignore"):
-            slope = -of_lag[[0, 2]] / of_lag[1]
+            slope = -of_stretch[[0, 2]] / of_stretch[1]
             slopes = np.stack([slope, of_volume[[0, 2]] + of_volume[1] * slope])
         return np.stack([p, np.where(np.isfinite(p), volume, np.nan)], axis=1), np.moveaxis(slopes, -1, 0)
 
@@ -79,26 +83,26 @@ _POINTS = (8, 32)  # of one call: few, and many
 _ITERATIONS = 14
 
 
-class SheetConditions:
+class SurfaceConditions:
     """The condition of a scene's loading near the points of a design; point 0 is its start.
 
-    `towers` are the Taylor coefficients of (p, V) at every point, `places` the points themselves, (λa, q) or (λa, q, λ0).
+    `jets` are the Taylor coefficients of (p, V) at every point, `places` the points themselves, (λa, q) or (λa, q, λ0).
     """
 
-    def __init__(self, towers, places, scene: Scene, start):
-        self.towers, self.places, self.membrane = towers, places, scene.membrane
+    def __init__(self, jets, places, scene: Scene, start):
+        self.jets, self.places, self.membrane = jets, places, scene.membrane
         loading = scene.loading
         p0, v0 = self.state(0, start, 0.0)
         if isinstance(loading, ConstantPressure):
-            filled, self.contour = p0 - loading.pressure, loading.contour()
+            filled, self.condition = p0 - loading.pressure, loading.condition()
         elif not isinstance(loading, Chamber):
             raise ValueError(f"`loading` must be a Chamber or a ConstantPressure here, but is {loading!r}.")
         elif loading.initial_volume is not None:
             filled = v0 - loading.initial_volume
-            self.contour = loading.contour(p0, loading.initial_volume)
+            self.condition = loading.condition(p0, loading.initial_volume)
         else:
             filled = p0 - loading.initial_pressure
-            self.contour = loading.contour(loading.initial_pressure, v0)
+            self.condition = loading.condition(loading.initial_pressure, v0)
         #: zero where `start` is the state that the loading fills the membrane to
         self.filled = filled
 
@@ -106,14 +110,14 @@ class SheetConditions:
         """p and V near point k."""
         at = [apex, q, self.membrane.prestretch][: self.places.shape[-1]]
         x = jnp.stack([jnp.asarray(v, float) for v in at]) - self.places[k]
-        zeroth, first, second, third = (t[k] for t in self.towers)
+        zeroth, first, second, third = (t[k] for t in self.jets)
         value = zeroth + first @ x + (second @ x) @ x / 2 + ((third @ x) @ x) @ x / 6
         return value[0], value[1]
 
     def excess(self, k: int, apex, q):
         """c."""
         p, v = self.state(k, apex, q)
-        return self.contour.residual(p, v, q)
+        return self.condition.residual(p, v, q)
 
     def slope(self, k: int, apex, q):
         """c′."""
@@ -128,51 +132,51 @@ class SheetConditions:
         return jnp.log(q * field_ratio_squared(self.membrane.breakdown, apex, apex))
 
 
-def _tower(function: Callable, x, order: int):
+def _jet(function: Callable, x, order: int):
     if order == 0:
         return (function(x),)
 
     def lower(x):
-        values = _tower(function, x, order - 1)
+        values = _jet(function, x, order - 1)
         return values[-1], values
 
     highest, values = jax.jacfwd(lower, has_aux=True)(x)
     return (*values, highest)
 
 
-@kept_jit
-def _towers_on_surface(surface: Surface, places):
+@cached_jit
+def _jets_on_surface(surface: Surface, places):
     """(p, V) at places (n, 2) and their derivatives up to the third."""
 
     def state(x):
         t = x[1] / surface.membrane.largest_load(x[0])
         return jnp.stack(surface.at_load_fraction(x[0], t, ("pressure", "volume")))
 
-    return jax.vmap(lambda x: _tower(state, x, 3))(places)
+    return jax.vmap(lambda x: _jet(state, x, 3))(places)
 
 
-@kept_jit
-def _towers_in_family(family: SurfaceFamily, places):
+@cached_jit
+def _jets_in_family(family: SurfaceFamily, places):
     """The same at places (n, 3), by the prestretch too."""
 
     def state(x):
         t = x[1] / largest_load(family.material, x[0])
         return jnp.stack(family.at_load_fraction(x[0], t, x[2], ("pressure", "volume")))
 
-    return jax.vmap(lambda x: _tower(state, x, 3))(places)
+    return jax.vmap(lambda x: _jet(state, x, 3))(places)
 
 
-def _towers(sheet: Surface | SurfaceFamily, places: np.ndarray) -> list[np.ndarray]:
+def _jets(surface: Surface | SurfaceFamily, places: np.ndarray) -> list[np.ndarray]:
     flat = places.reshape(-1, places.shape[-1])
     parts = []
     size = _POINTS[len(flat) > _POINTS[0]]
     for i in range(0, len(flat), size):
         own = flat[i : i + size]
         lanes = np.pad(own, ((0, size - len(own)), (0, 0)), mode="edge")
-        if isinstance(sheet, SurfaceFamily):
-            found = _towers_in_family(sheet, lanes)
+        if isinstance(surface, SurfaceFamily):
+            found = _jets_in_family(surface, lanes)
         else:
-            found = _towers_on_surface(rows_of(ById(sheet)).surface, lanes)
+            found = _jets_on_surface(rows_of(ById(surface)).surface, lanes)
         parts.append([np.asarray(v)[: len(own)] for v in found])
     return [np.concatenate(v).reshape(*places.shape[:-1], *v[0].shape[1:]) for v in zip(*parts, strict=True)]
 
@@ -184,26 +188,26 @@ def _program(equations: Callable, names: tuple, segment: bool) -> Callable:
     def linearised(*args):
         return _linearised(equations, names, segment, *args)
 
-    return kept_jit(linearised)
+    return cached_jit(linearised)
 
 
-def _linearised(equations, names, segment, scene, towers, places, begin, end, u):
+def _linearised(equations, names, segment, scene, jets, places, begin, end, u):
     """Equations and measures (n, …) of designs, and their derivatives by (u, θ)."""
 
-    def one(towers, places, begin, end, u):
+    def one(jets, places, begin, end, u):
         def both(x):
             u, values = x[: len(x) - len(begin)], x[len(x) - len(begin) :]
             if segment:
                 values = values + u[-1] * (end - begin)
             design = scene.replace(**dict(zip(names, values, strict=True)))
-            rows, measured = equations(SheetConditions(towers, places, design, u[0]), u)
+            rows, measured = equations(SurfaceConditions(jets, places, design, u[0]), u)
             value = jnp.concatenate([jnp.stack(rows), jnp.stack(measured) if measured else jnp.zeros(0)])
             return value, value
 
         jacobian, value = jax.jacfwd(both, has_aux=True)(jnp.concatenate([u, begin]))
         return value, jacobian
 
-    return jax.vmap(one)(towers, places, begin, end, u)
+    return jax.vmap(one)(jets, places, begin, end, u)
 
 
 class Solved(typing.NamedTuple):
@@ -216,10 +220,10 @@ class Solved(typing.NamedTuple):
     size: np.ndarray
 
 
-def solve_on_sheet(
+def solve_on_surface(
     equations: Callable,
     points: tuple,
-    sheet: Surface | SurfaceFamily,
+    surface: Surface | SurfaceFamily,
     scene: Scene,
     names: tuple,
     guess: np.ndarray,
@@ -246,7 +250,7 @@ def solve_on_sheet(
     value = jacobian = np.empty(0)
     unknowns = u.shape[1]
     for _ in range(_ITERATIONS):
-        value, jacobian = _evaluated(equations, points, sheet, scene, names, u, begin, end, lanes, far)
+        value, jacobian = _evaluated(equations, points, surface, scene, names, u, begin, end, lanes, far)
         matrix = jacobian[:, :unknowns, :unknowns] * scale[:, None, :]
         move, good = _solved(matrix, -value[:, :unknowns, None])
         move = np.where(good[:, None], move[..., 0], np.nan)
@@ -256,7 +260,7 @@ def solve_on_sheet(
         u = u + move * scale
         if not np.any(size > last_move):
             break
-    value, jacobian = _evaluated(equations, points, sheet, scene, names, u, begin, end, lanes, far)
+    value, jacobian = _evaluated(equations, points, surface, scene, names, u, begin, end, lanes, far)
     by_u, by_theta = jacobian[..., :unknowns], jacobian[..., unknowns:]
     rate, good = _solved(by_u[:, :unknowns] * scale[:, None, :], -by_theta[:, :unknowns])
     rates = rate * scale[:, :, None]
@@ -275,12 +279,12 @@ def _solved(matrix, right) -> tuple[np.ndarray, np.ndarray]:
     return np.linalg.solve(matrix, np.where(good[:, None, None], right, 0.0)), good
 
 
-def _evaluated(equations, points, sheet, scene, names, u, begin, end, lanes, far):
+def _evaluated(equations, points, surface, scene, names, u, begin, end, lanes, far):
     theta = begin if end is None else begin + u[:, -1:] * (end - begin)
     apex = np.stack([u[:, a] for a, _ in points], axis=1)
     load = np.stack([u[:, q] if q >= 0 else np.zeros(len(u)) for _, q in points], axis=1)
     columns = [apex, load]
-    if isinstance(sheet, SurfaceFamily):
+    if isinstance(surface, SurfaceFamily):
         rim = (
             theta[:, names.index("prestretch")]
             if "prestretch" in names
@@ -289,17 +293,17 @@ def _evaluated(equations, points, sheet, scene, names, u, begin, end, lanes, far
         columns.append(np.broadcast_to(rim[:, None], apex.shape))
     places = np.stack(columns, axis=-1)
     near = places if far is None else places[:, :-1]
-    towers = _towers(sheet, near)
+    jets = _jets(surface, near)
     if far is not None:
         value, slopes = far.linear(places[:, -1, :2])
         rest = [np.pad(slopes, ((0, 0), (0, 0), (0, places.shape[-1] - 2)))]
-        rest += [np.zeros((len(u), *t.shape[2:])) for t in towers[2:]]
-        towers = [np.concatenate([t, v[:, None]], axis=1) for t, v in zip(towers, [value, *rest], strict=True)]
+        rest += [np.zeros((len(u), *t.shape[2:])) for t in jets[2:]]
+        jets = [np.concatenate([t, v[:, None]], axis=1) for t, v in zip(jets, [value, *rest], strict=True)]
     end = begin if end is None else end
     parts = []
     for i in range(0, len(u), lanes):
         own = np.minimum(np.arange(i, i + lanes), len(u) - 1)
-        args = [t[own] for t in towers], places[own], begin[own], end[own], u[own]
+        args = [t[own] for t in jets], places[own], begin[own], end[own], u[own]
         found = _program(equations, names, end is not begin)(scene, *args)
         parts.append([np.asarray(v)[: len(u) - i] for v in found])
     return [np.concatenate(v) for v in zip(*parts, strict=True)]

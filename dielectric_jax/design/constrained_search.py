@@ -82,7 +82,7 @@ def scan_designs(scenes: list[Scenario], names: tuple, values: np.ndarray, wishe
     strains, every = [], []
     for scenario in scenes:
         given = dict(zip(names, (values * scenario.factors).T, strict=True))
-        found = classify_designs(scenario.scene, given, surface=scenario.sheet, whole=False)
+        found = classify_designs(scenario.scene, given, surface=scenario.surface, whole=False)
         every.append(found)
         ramps = found.ramps
         with np.errstate(invalid="ignore"):
@@ -126,7 +126,7 @@ class Climb:
         self.evaluations += 1
         found = []
         for scenario, guess in zip(self.scenes, begin, strict=True):
-            m = measure(self.kind, self.names, scenario.sheet, scenario.scene, x * scenario.factors, guess)
+            m = measure(self.kind, self.names, scenario.surface, scenario.scene, x * scenario.factors, guess)
             if not m.fair[0]:
                 return None
             found.append(m)

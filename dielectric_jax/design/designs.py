@@ -13,7 +13,7 @@ import typing
 import jax
 import numpy as np
 
-from ..diagram import ByLeaves, Ramps, chamber_ramps, continue_scenes, loading_columns, pressure_ramps, regime_of
+from ..diagram import MembraneKey, Ramps, chamber_ramps, continue_scenes, loading_arrays, pressure_ramps, regime_of
 from ..model import Chamber, Change, ConstantPressure, Membrane, Regime, Scene, change_of, field_on
 from ..numerics import SceneError
 from ..surface import ById, Surface, SurfaceFamily
@@ -24,8 +24,8 @@ __all__ = [
     "by_diagrams",
     "classify_designs",
     "designs_on_surfaces",
-    "sheet_over",
     "surface_for",
+    "surface_over",
 ]
 
 _TYPICAL = 5.0  # a stretch at which breakdown laws are compared
@@ -34,13 +34,13 @@ _TYPICAL = 5.0  # a stretch at which breakdown laws are compared
 class Designs(typing.NamedTuple):
     """Many designs: their scenes as one whose leaves are columns, their regimes, and the ramps of those on a surface.
 
-    `ramps` are in the order of the designs; `sheet` numbers the membrane of each.
+    `ramps` are in the order of the designs; `membrane_number` says which membrane each has.
     """
 
     scenes: Scene
     regime: np.ndarray
     ramps: Ramps
-    sheet: np.ndarray
+    membrane_number: np.ndarray
 
 
 def designs_of(scene: Scene, parameters: dict) -> Scene:
@@ -54,15 +54,15 @@ def designs_of(scene: Scene, parameters: dict) -> Scene:
     for own in ends or {tuple(v.min() for v in values), tuple(v.max() for v in values)}:
         scene.replace(**dict(zip(names, own, strict=True)))
     replace = jax.vmap(lambda *own: scene.replace(**dict(zip(names, own, strict=True))))
-    columns = replace(*values)
-    return jax.tree.map(lambda v: np.broadcast_to(np.asarray(v, float), values[0].shape), columns)
+    stacked_scenes = replace(*values)
+    return jax.tree.map(lambda v: np.broadcast_to(np.asarray(v, float), values[0].shape), stacked_scenes)
 
 
-def _row(columns, which):
-    return jax.tree.map(lambda v: v[which], columns)
+def _row(stacked_scenes, which):
+    return jax.tree.map(lambda v: v[which], stacked_scenes)
 
 
-def sheet_over(scene: Scene, over: dict, given: typing.Any) -> Surface | SurfaceFamily | None:
+def surface_over(scene: Scene, over: dict, given: typing.Any) -> Surface | SurfaceFamily | None:
     """One surface, or family, for all designs over ranges of parameters, where one serves; else None."""
     if given is not None or any(change_of(n) is Change.MATERIAL for n in over):
         return given
@@ -73,16 +73,16 @@ def sheet_over(scene: Scene, over: dict, given: typing.Any) -> Surface | Surface
     # the law decides how far the surface goes: the strongest of the corners'
     corners = [dict(zip(over, values, strict=True)) for values in itertools.product(*over.values())]
     films = [scene.replace(**corner).membrane for corner in corners]
-    return _built(ByLeaves.of(max(films, key=lambda film: float(field_on(film.breakdown, _TYPICAL)))))
+    return _built(MembraneKey.of(max(films, key=lambda film: float(field_on(film.breakdown, _TYPICAL)))))
 
 
 def surface_for(membrane: Membrane, given: typing.Any) -> Surface:
     """The surface of a membrane: the one given, a family's section, or one that is built; with the membrane's own law."""
     if isinstance(given, SurfaceFamily):
-        key = ByLeaves.of(Membrane(given.material, float(membrane.prestretch), given.breakdown))
+        key = MembraneKey.of(Membrane(given.material, float(membrane.prestretch), given.breakdown))
         found = _section(ById(given), key)
     elif given is None:
-        found = _built(ByLeaves.of(membrane))
+        found = _built(MembraneKey.of(membrane))
     else:
         found = given
         mine, other = (jax.tree.leaves((m.material, m.prestretch)) for m in (membrane, found.membrane))
@@ -92,21 +92,21 @@ def surface_for(membrane: Membrane, given: typing.Any) -> Surface:
             )
     if found.belongs_to(membrane):
         return found
-    return _with_law(ById(found), ByLeaves.of(membrane))
+    return _with_law(ById(found), MembraneKey.of(membrane))
 
 
 @functools.lru_cache(maxsize=64)  # 2 MB each
-def _section(family: ById, key: ByLeaves) -> Surface:
+def _section(family: ById, key: MembraneKey) -> Surface:
     return family.value.surface(float(key.membrane.prestretch))
 
 
 @functools.lru_cache(maxsize=32)
-def _built(key: ByLeaves) -> Surface:
+def _built(key: MembraneKey) -> Surface:
     return Surface.build(key.membrane)
 
 
 @functools.lru_cache(maxsize=64)
-def _with_law(surface: ById, key: ByLeaves) -> Surface:
+def _with_law(surface: ById, key: MembraneKey) -> Surface:
     """The same sheet under another breakdown law."""
     return dataclasses.replace(surface.value, membrane=key.membrane)
 
@@ -136,24 +136,24 @@ def designs_on_surfaces(scene: Scene, parameters: dict, *, surface: Surface | Su
     """Designs as far as the surfaces of their membranes decide them."""
     if not isinstance(scene.loading, (Chamber, ConstantPressure)):
         raise ValueError(f"`loading` must be a Chamber or a ConstantPressure here, but is {scene.loading!r}.")
-    columns = designs_of(scene, parameters)
-    count = len(columns.membrane.prestretch)
+    stacked_scenes = designs_of(scene, parameters)
+    count = len(stacked_scenes.membrane.prestretch)
     keys: dict = {}
-    leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(columns.membrane)]
+    leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(stacked_scenes.membrane)]
     for i in range(count):
         keys.setdefault(tuple(leaf[i] for leaf in leaves), []).append(i)
-    parts, order, sheet = [], [], np.zeros(count, int)
+    parts, order, numbers = [], [], np.zeros(count, int)
     for number, own in enumerate(keys.values()):
         own = np.array(own)
-        sheet[own] = number
-        membrane = jax.tree.map(lambda v, i=own[0]: np.float64(v[i]), columns.membrane)
-        sheet_of = surface_for(membrane, surface)
-        given = loading_columns(_row(columns.loading, own), sheet_of)
-        parts.append(pressure_ramps(sheet_of, **given) if "pressure" in given else chamber_ramps(sheet_of, **given))
+        numbers[own] = number
+        membrane = jax.tree.map(lambda v, i=own[0]: np.float64(v[i]), stacked_scenes.membrane)
+        surface_of = surface_for(membrane, surface)
+        given = loading_arrays(_row(stacked_scenes.loading, own), surface_of)
+        parts.append(pressure_ramps(surface_of, **given) if "pressure" in given else chamber_ramps(surface_of, **given))
         order.append(own)
     back = np.argsort(np.concatenate(order))
     ramps: Ramps = jax.tree.map(lambda *v: np.concatenate(v)[back], *parts)
-    return Designs(columns, ramps.regime.astype(int), ramps, sheet)
+    return Designs(stacked_scenes, ramps.regime.astype(int), ramps, numbers)
 
 
 def _left(found: Designs) -> np.ndarray:

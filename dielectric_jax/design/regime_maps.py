@@ -15,14 +15,14 @@ from ..diagram import Ramps
 from ..model import Change, Outcome, Regime, Scene, change_of, describe, plain
 from ..numerics import LARGEST, check_whole, shown
 from ..surface import Surface, SurfaceFamily
-from .boundaries import LANDING_LEAVES, completed, guesses, has_event, kind_between, meet, with_landing
+from .boundaries import LANDING_LOST, completed, guesses, has_event, kind_between, located, with_landing
 from .designs import (
     Designs,
     by_continuation,
     by_diagrams,
     designs_on_surfaces,
-    sheet_over,
     surface_for,
+    surface_over,
 )
 
 __all__ = ["Boundary", "RegimeEdge", "RegimeMap", "beside_change", "chains", "changes", "regime_edges", "regime_map"]
@@ -40,8 +40,10 @@ def beside_change(whole: np.ndarray, reach: int) -> np.ndarray:
     for axis in (0, 1):
         total = np.cumsum(np.pad(change, [(reach + 1, reach) if k == axis else (0, 0) for k in (0, 1)]), axis=axis)
         width = 2 * reach + 1
-        lead, lag = (np.take(total, np.arange(start, start + whole.shape[axis]), axis=axis) for start in (width, 0))
-        change = lead > lag
+        lead, stretch_change = (
+            np.take(total, np.arange(start, start + whole.shape[axis]), axis=axis) for start in (width, 0)
+        )
+        change = lead > stretch_change
     return change
 
 
@@ -85,7 +87,7 @@ _ISLAND = 6  # designs
 _VAGUE = 3.0  # cells
 _DECADES = 1.2  # a range wider than this many decades is divided evenly in the logarithm
 _MOST_POINTS = 10_000  # along a parameter
-_POINTS, _SHEET_POINTS = 400, 25
+_POINTS, _SURFACE_POINTS = 400, 25
 
 
 class RegimeEdge(typing.NamedTuple):
@@ -192,7 +194,7 @@ class _Known:
     def __init__(self, scene: Scene, over: dict, surface, *, diagrams: bool = False):
         ranges = {name: check_range(name, limits, scene) for name, limits in over.items()}
         self.scene, self.names = scene, tuple(over)
-        self.surface = sheet_over(scene, ranges, surface)
+        self.surface = surface_over(scene, ranges, surface)
         self.parts: list[Designs] = []
         self.values = np.empty((0, len(over)))
         self.regime = np.empty(0, int)
@@ -225,14 +227,14 @@ def _edges(known: _Known, one: np.ndarray, other: np.ndarray):
         [kind_between(a, b) or "" for a, b in zip(known.regime[one], known.regime[other], strict=True)], object
     )
     varying = [change_of(n) in (Change.PRESTRETCH, Change.MATERIAL) for n in known.names]
-    same_sheet = ~np.any((begin != end)[:, varying], axis=1) if any(varying) else np.ones(len(one), bool)
+    same_surface = ~np.any((begin != end)[:, varying], axis=1) if any(varying) else np.ones(len(one), bool)
     designs = known.designs()
-    for kind in sorted(set(kinds[same_sheet]) - {""}):
-        own = np.flatnonzero((kinds == kind) & same_sheet)
+    for kind in sorted(set(kinds[same_surface]) - {""}):
+        own = np.flatnonzero((kinds == kind) & same_surface)
         has = has_event(kind, known.regime)  # begin from there
         source = np.where(has[other[own]], other[own], one[own])
         guess = completed(guesses(kind, designs, source), known.values[source])
-        far = kind == LANDING_LEAVES  # located by shots
+        far = kind == LANDING_LOST  # located by shots
         # a side that the surface did not decide may be off by a little
         vague = designs.ramps.outcome == Outcome.unresolved
         beyond = np.where(vague[one[own]] | vague[other[own]] | far, _VAGUE, 0.0)
@@ -245,7 +247,7 @@ def _edges(known: _Known, one: np.ndarray, other: np.ndarray):
             began = guess[group]
             if far:
                 began = with_landing(surface, known.scene, known.names, known.values[source[group]], began)
-            share[some], error[some] = meet(
+            share[some], error[some] = located(
                 kind, surface, known.scene, known.names, begin[some], end[some], began, beyond[group]
             )
     kinds[np.isnan(share)] = ""
@@ -399,7 +401,7 @@ def _join_islands(known: _Known, number, whole) -> None:
 
 def _counts(names, points) -> tuple[int, int]:
     if points is None:
-        first, second = (_SHEET_POINTS if change_of(n) is not Change.LOADING else _POINTS for n in names)
+        first, second = (_SURFACE_POINTS if change_of(n) is not Change.LOADING else _POINTS for n in names)
         return first, second
     counts = tuple(points) if isinstance(points, (tuple, list)) else (points, points)
     if len(counts) != 2:

@@ -22,14 +22,14 @@ _MOST = 8  # uncertain parameters, whose corners are taken
 class Scenario:
     """One case: the scene with what is uncertain at its value there, and the factors of the parameters that are sought.
 
-    The breakdown field of `scene` is the operating field, that of `real` the law's. `sheet` is the surface or family the states
+    The breakdown field of `scene` is the operating field, that of `real` the law's. `surface` is the surface or family the states
     come from; `given` the one the caller gave.
     """
 
     scene: Scene
     real: Scene
     factors: np.ndarray
-    sheet: Surface | SurfaceFamily
+    surface: Surface | SurfaceFamily
     given: Surface | SurfaceFamily | None
 
 
@@ -64,7 +64,7 @@ def scenarios_of(
             raise ValueError("`uncertain` must name a parameter where `quantile` is given, but names none.")
     if len(uncertain) > _MOST:
         raise ValueError(f"`uncertain` must name at most {_MOST} parameters, but names {len(uncertain)}.")
-    sheets: dict = {}
+    surfaces: dict = {}
     made = []
     for factors in _factors(uncertain, quantile):
         changes = {n: value_of(scene, n) * f for n, f in factors.items() if n not in names}
@@ -73,10 +73,10 @@ def scenarios_of(
         given = surface if all(f == 1 for f in key) else None
         if "prestretch" in changes:
             key, given = (*key, changes["prestretch"]), surface if isinstance(surface, SurfaceFamily) else None
-        if key not in sheets:
-            sheets[key] = _sheet(own, axes, factors, given)
+        if key not in surfaces:
+            surfaces[key] = _on_surface(own, axes, factors, given)
         made.append(
-            Scenario(operated(own, margin), own, np.array([factors.get(n, 1.0) for n in names]), sheets[key], given)
+            Scenario(operated(own, margin), own, np.array([factors.get(n, 1.0) for n in names]), surfaces[key], given)
         )
     return made
 
@@ -94,7 +94,7 @@ def _factors(uncertain: dict, quantile: float | None) -> list[dict]:
     return [dict(zip(names, 1 + side * shares, strict=True)) for side in sides]
 
 
-def _sheet(scene: Scene, axes: list, factors: dict, given) -> Surface | SurfaceFamily:
+def _on_surface(scene: Scene, axes: list, factors: dict, given) -> Surface | SurfaceFamily:
     """The surface of a scene, or the family over the prestretches that are sought."""
     sought = [a for a in axes if a.name == "prestretch"]
     if not sought:

@@ -1,10 +1,10 @@
-from .batch import Batch, ByLeaves, columns_of, continue_scenes, contour_of, starts
+from .batch import Batch, MembraneKey, condition_of, continue_scenes, stacked, starts
 from .diagrams import Diagram, pressure_volume, voltage_volume
 from .glances import Glance, glance
 from .mesh import hermite
 from .ramp import ENDS
 from .regimes import regime_of, regime_of_diagram
-from .scene_batch import Crowd
+from .scene_batch import SceneBatch
 from .states import check_request, equilibrium, filling
 from .surface_ramps import (
     Curves,
@@ -16,7 +16,7 @@ from .surface_ramps import (
     filling_volumes,
     first_folds_on,
     landings_on,
-    loading_columns,
+    loading_arrays,
     pressure_curves,
     pressure_ramps,
     ramps_of,
@@ -26,20 +26,19 @@ from .tracing import branch_problem
 __all__ = [
     "ENDS",
     "Batch",
-    "ByLeaves",
-    "Crowd",
     "Curves",
     "Diagram",
     "Glance",
+    "MembraneKey",
     "Point",
     "Ramps",
+    "SceneBatch",
     "branch_problem",
     "chamber_curves",
     "chamber_ramps",
     "check_request",
-    "columns_of",
+    "condition_of",
     "continue_scenes",
-    "contour_of",
     "curves_and_ramps",
     "equilibrium",
     "filling",
@@ -48,13 +47,14 @@ __all__ = [
     "glance",
     "hermite",
     "landings_on",
-    "loading_columns",
+    "loading_arrays",
     "pressure_curves",
     "pressure_ramps",
     "pressure_volume",
     "ramps_of",
     "regime_of",
     "regime_of_diagram",
+    "stacked",
     "starts",
     "voltage_volume",
 ]

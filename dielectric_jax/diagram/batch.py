@@ -21,8 +21,8 @@ from ..model import (
     Chamber,
     ConstantPressure,
     ConstantVoltage,
-    Contour,
     FoldAhead,
+    LoadingCondition,
     Membrane,
     Outcome,
     Scene,
@@ -33,19 +33,19 @@ from ..model import (
 )
 from ..numerics import Code
 from .batch_programs import LEVEL, VOLUME, march_program, new_walks
-from .batch_ramps import RampColumns, assemble, have_others, ramps_on_lines
+from .batch_ramps import RampArrays, assemble, have_others, ramps_on_lines
 from .landings import Landing, folds_ahead, landings
 from .polylines import Polylines
-from .scene_batch import LANES, Crowd, Met, calls, padded, pick
+from .scene_batch import LANES, Corrected, SceneBatch, calls, padded, pick
 from .states import check_request
 from .surface_ramps import Ramps, ramps_of
 
-__all__ = ["Batch", "columns_of", "continue_scenes", "contour_of", "starts"]
+__all__ = ["Batch", "condition_of", "continue_scenes", "stacked", "starts"]
 
 _BLOCK = 512  # scenes that are held together
 _LINE = 40  # stretches of the line of states at zero voltage
 # grids of the continuation, and the load fractions up to which each is used near lock-up and elsewhere
-_TRACE_STEPS, _TOPS = (7.0, 24.0), ((0.7, 0.85), (0.82, 0.97))
+_TRACE_STEPS, _LOAD_LIMITS = (7.0, 24.0), ((0.7, 0.85), (0.82, 0.97))
 _LENGTHS = np.array([2e-5, 2.0, 1.0])
 _MOST_POINTS = 120
 _SAME = 0.02  # of λa: a landing on the line and one that the scan shows
@@ -106,31 +106,31 @@ def continue_scenes(scenes: Sequence[Scene], *, tolerance: float = 1e-8) -> Batc
 
 
 @dataclasses.dataclass(frozen=True)
-class ByLeaves:
+class MembraneKey:
     """A membrane told apart by its numbers, for caches."""
 
     membrane: Membrane = dataclasses.field(compare=False, hash=False)
     numbers: tuple
 
     @staticmethod
-    def of(membrane: Membrane) -> "ByLeaves":
+    def of(membrane: Membrane) -> "MembraneKey":
         """The key of a membrane."""
         leaves, tree = jax.tree.flatten(membrane)
-        return ByLeaves(membrane, (tree, *(np.asarray(v).item() for v in leaves)))
+        return MembraneKey(membrane, (tree, *(np.asarray(v).item() for v in leaves)))
 
 
-def by_membrane(scenes: Sequence[Scene]) -> dict[ByLeaves, np.ndarray]:
+def by_membrane(scenes: Sequence[Scene]) -> dict[MembraneKey, np.ndarray]:
     """Which scenes have one membrane: their indices by its key."""
     same: dict = {}
     for i, scene in enumerate(scenes):
         same.setdefault(id(scene.membrane), []).append(i)
     groups: dict = {}
     for own in same.values():  # few membranes are looked into where scenes share them
-        groups.setdefault(ByLeaves.of(scenes[own[0]].membrane), []).extend(own)
+        groups.setdefault(MembraneKey.of(scenes[own[0]].membrane), []).extend(own)
     return {key: np.sort(own) for key, own in groups.items()}
 
 
-def columns_of(modules) -> typing.Any:
+def stacked(modules) -> typing.Any:
     """One module whose leaves are columns of those of many alike."""
     distinct = {id(module): module for module in modules}
     place = {key: i for i, key in enumerate(distinct)}
@@ -140,7 +140,7 @@ def columns_of(modules) -> typing.Any:
 
 
 @functools.lru_cache(maxsize=64)
-def _zero_line(key: ByLeaves):
+def _zero_line(key: MembraneKey):
     """Interpolants on the line of states at zero voltage: of log(λa − λ0), log p, log V by the place on it."""
     membrane = key.membrane
     rim, high = float(membrane.prestretch), membrane.lock_up_stretch()[0]
@@ -164,7 +164,7 @@ def _first_place(line, row: int, wanted: np.ndarray) -> np.ndarray:
     return np.where(inside, fine[i - 1] + np.clip(share, 0, 1) * (fine[i] - fine[i - 1]), np.nan)
 
 
-def starts(scenes: list[Scene], crowd: Crowd, tolerance: float) -> Met:
+def starts(scenes: list[Scene], scene_batch: SceneBatch, tolerance: float) -> Corrected:
     """The states of smallest volume at zero voltage."""
     lanes = len(scenes)
     u, rows = np.full((lanes, 3), np.nan), np.zeros((lanes, 3))
@@ -188,13 +188,15 @@ def starts(scenes: list[Scene], crowd: Crowd, tolerance: float) -> Met:
                 which = own[kinds[own] == kind]
                 place = _first_place(line, row, targets[which])
                 stretch, pressure, _ = np.exp(line(np.nan_to_num(place, nan=line.t[0])))
-                rim = crowd.membrane.prestretch[which]
+                rim = scene_batch.membrane.prestretch[which]
                 u[which] = np.where(
                     np.isfinite(place)[:, None], np.stack([rim + stretch, pressure, 0 * rim], axis=1), np.nan
                 )
-    held = ConstantVoltage(0.0).contour()
-    flat = Crowd(crowd.membrane, jax.tree.map(lambda v: np.full(lanes, float(v)), held), crowd.locks_from)
-    met = Met.nothing(lanes)
+    held = ConstantVoltage(0.0).condition()
+    flat = SceneBatch(
+        scene_batch.membrane, jax.tree.map(lambda v: np.full(lanes, float(v)), held), scene_batch.locks_from
+    )
+    corrected = Corrected.nothing(lanes)
     same: dict = {}  # scenes that begin in one state share it
     for key, own in groups.items():
         for i in own.tolist():
@@ -203,34 +205,34 @@ def starts(scenes: list[Scene], crowd: Crowd, tolerance: float) -> Met:
     if same:
         first = np.array([own[0] for own in same.values()])
         given = u[first], rows[first], targets[first], kinds[first]
-        found = flat.meet(first, *given, tolerance=tolerance / 10, reach=0.5)
+        found = flat.correct(first, *given, tolerance=tolerance / 10, reach=0.5)
         which = np.concatenate([np.array(own) for own in same.values()])
         source = np.repeat(np.arange(len(same)), [len(own) for own in same.values()])
-        for store, values in zip(met, found, strict=True):
+        for store, values in zip(corrected, found, strict=True):
             store[which] = values[source]
-    return met._replace(index=_index_under_loading(scenes, met))
+    return corrected._replace(index=_index_under_loading(scenes, corrected))
 
 
-def _index_under_loading(scenes: list[Scene], met: Met) -> np.ndarray:
+def _index_under_loading(scenes: list[Scene], corrected: Corrected) -> np.ndarray:
     """The index of states at zero voltage under the loadings of their scenes, from that under prescribed pressure.
 
     A gas of stiffness k takes one from it where 1 + k dV/dp < 0.
     """
-    pressure, volume = (np.where(met.ok, v, 1.0) for v in (met.u[:, 1], met.volume))
+    pressure, volume = (np.where(corrected.ok, v, 1.0) for v in (corrected.u[:, 1], corrected.volume))
     stiffness = np.asarray(_contours_of(scenes, pressure, volume).gas_stiffness(volume))
     with np.errstate(all="ignore"):
-        gain = 1 + stiffness * met.volume_rate / (met.tangent[:, 1] * SCALE[1])
-    return np.where(met.ok & (gain < 0), met.index - 1, met.index)
+        gain = 1 + stiffness * corrected.volume_rate / (corrected.tangent[:, 1] * SCALE[1])
+    return np.where(corrected.ok & (gain < 0), corrected.index - 1, corrected.index)
 
 
-def contour_of(scene: Scene, pressure: float, volume: float) -> Contour:
+def condition_of(scene: Scene, pressure: float, volume: float) -> LoadingCondition:
     """The condition of a scene's loading, with the filling of a chamber."""
     if isinstance(scene.loading, Chamber):
-        return scene.loading.contour(pressure, volume)
-    return scene.loading.contour()
+        return scene.loading.condition(pressure, volume)
+    return scene.loading.condition()
 
 
-def _contours_of(scenes: list[Scene], pressure: np.ndarray, volume: np.ndarray) -> Contour:
+def _contours_of(scenes: list[Scene], pressure: np.ndarray, volume: np.ndarray) -> LoadingCondition:
     """The same of many scenes, as columns."""
     loadings = [s.loading for s in scenes]
     kinds: dict = {}
@@ -238,9 +240,9 @@ def _contours_of(scenes: list[Scene], pressure: np.ndarray, volume: np.ndarray) 
         kinds.setdefault(jax.tree.structure(loading), []).append(i)
     parts = []
     for own in kinds.values():
-        columns = columns_of([loadings[i] for i in own])
+        columns = stacked([loadings[i] for i in own])
         filling = (pressure[own], volume[own]) if isinstance(columns, Chamber) else ()
-        parts.append(jax.tree.map(lambda v, own=own: np.broadcast_to(v, len(own)), columns.contour(*filling)))
+        parts.append(jax.tree.map(lambda v, own=own: np.broadcast_to(v, len(own)), columns.condition(*filling)))
     back = np.argsort(np.concatenate(list(kinds.values())))
     return jax.tree.map(lambda *v: np.concatenate(v)[back], *parts)
 
@@ -249,7 +251,7 @@ def _contours_of(scenes: list[Scene], pressure: np.ndarray, volume: np.ndarray) 
 class _March:
     """Traced lines under way: points and tangents in scaled unknowns, and why they ended."""
 
-    crowd: Crowd
+    scene_batch: SceneBatch
     limits: np.ndarray
     owner: np.ndarray
 
@@ -270,7 +272,7 @@ class _March:
             going = todo
             while len(going):
                 for now in calls(going):
-                    self._advance(now, walk, peak, steps, np.array(_TOPS[level]))
+                    self._advance(now, walk, peak, steps, np.array(_LOAD_LIMITS[level]))
                 full = going[self.count[going] >= _MOST_POINTS - 8]
                 self.code[full[self.code[full] == int(Code.ok)]] = int(Code.too_many_points)
                 going = going[self.code[going] == int(Code.ok)]
@@ -305,12 +307,15 @@ class _March:
         going = lanes
         while len(going):
             for now in calls(going):
-                self._advance(now, walk, peak, _TRACE_STEPS[-1], np.array(_TOPS[-1]))
+                self._advance(now, walk, peak, _TRACE_STEPS[-1], np.array(_LOAD_LIMITS[-1]))
             at = np.maximum(self.count[going] - 1, 0)
             points = self.points[going, at] * SCALE
             with np.errstate(invalid="ignore"):
                 turned = self.tangents[going, at, 2] <= 0
-                left = points[:, 2] > SCANNED_LOAD * self.crowd.limits(np.nan_to_num(points[:, 0], nan=2.0), going)[2]
+                left = (
+                    points[:, 2]
+                    > SCANNED_LOAD * self.scene_batch.limits(np.nan_to_num(points[:, 0], nan=2.0), going)[2]
+                )
             beyond = points[:, 0] > self.limits[going, 1]  # the last step may leave the window of the stretch
             left = (left & ~turned) | beyond
             out = np.isin(self.code[going], (int(Code.window_stretch), int(Code.window_load), int(Code.lock_up)))
@@ -319,12 +324,12 @@ class _March:
             going = going[~(turned | left | full) & (self.code[going] == int(Code.ok))]
         self.code[lanes] = int(Code.breakdown)
 
-    def _advance(self, now, walk, peak, steps, tops) -> None:
+    def _advance(self, now, walk, peak, steps, load_limits) -> None:
         lanes, count = padded(now), len(now)
         own = self.owner[lanes]
-        membrane, contour = pick(self.crowd.membrane, own), pick(self.crowd.contour, own)
-        begin = pick(walk, lanes), peak[lanes], steps, tops, _LENGTHS
-        found, new_peak, passed = march_program(membrane, contour, self.limits[own], *begin)
+        membrane, condition = pick(self.scene_batch.membrane, own), pick(self.scene_batch.condition, own)
+        begin = pick(walk, lanes), peak[lanes], steps, load_limits, _LENGTHS
+        found, new_peak, passed = march_program(membrane, condition, self.limits[own], *begin)
         for store, values in zip(walk, found, strict=True):
             store[now] = np.asarray(values)[:count]
         peak[now] = np.asarray(new_peak)[:count]
@@ -339,7 +344,7 @@ class _March:
 
 def _block(scenes: list[Scene], tolerance: float) -> Batch:
     """`continue_scenes` of scenes with membranes of one kind."""
-    membrane = columns_of([s.membrane for s in scenes])
+    membrane = stacked([s.membrane for s in scenes])
     windows, limits = {}, []
     for scene in scenes:
         key = id(scene.membrane), scene.window.apex_stretch, scene.window.load_fraction
@@ -347,14 +352,14 @@ def _block(scenes: list[Scene], tolerance: float) -> Batch:
             windows[key] = scene.limits(), locking_stretch(scene.membrane)
         limits.append(windows[key])
     locks = np.array([lock for _, lock in limits])
-    nothing = jax.tree.map(lambda v: np.full(len(scenes), float(v)), ConstantVoltage(0.0).contour())
-    start = starts(scenes, Crowd(membrane, nothing, locks), tolerance)
+    nothing = jax.tree.map(lambda v: np.full(len(scenes), float(v)), ConstantVoltage(0.0).condition())
+    start = starts(scenes, SceneBatch(membrane, nothing, locks), tolerance)
     filled = (np.where(start.ok, values, 1.0) for values in (start.u[:, 1], start.volume))
-    contour = _contours_of(scenes, *filled)
-    crowd = Crowd(membrane, contour, locks)
+    condition = _contours_of(scenes, *filled)
+    scene_batch = SceneBatch(membrane, condition, locks)
     box = np.array([[*stretch, *load, lock] for (stretch, _, load), lock in limits])
     box[:, 0] += 1e-8 * (box[:, 1] - box[:, 0])
-    march = _March(crowd, box, np.arange(len(scenes)))
+    march = _March(scene_batch, box, np.arange(len(scenes)))
     heading = np.tile([0.0, 0.0, 1.0], (len(scenes), 1))
     march.code[np.isnan(start.u[:, 0])] = int(Code.no_equilibrium)
     march.run(np.where(start.ok[:, None], start.u, np.nan), heading)
@@ -363,24 +368,24 @@ def _block(scenes: list[Scene], tolerance: float) -> Batch:
     lines = Polylines(march.points[:, :most], march.tangents[:, :most], march.count)
     began = np.flatnonzero(start.ok & (march.count > 0))
     lines.points[began, 0] = start.u[began] / SCALE  # the traced one lies on the coarse grid
-    found = assemble(crowd, march.owner, lines, tolerance)
+    found = assemble(scene_batch, march.owner, lines, tolerance)
     last = lines.points[np.arange(len(scenes)), np.maximum(march.count - 1, 0), 0] * SCALE[0]
     march.code[(march.code == int(Code.beyond_tolerance)) & (last < locks)] = int(Code.apex_cone)
-    told = ramps_on_lines(crowd, march.owner, found, start, march)
+    told = ramps_on_lines(scene_batch, march.owner, found, start, march)
     ended = np.isin(march.code, (int(Code.breakdown), int(Code.apex_cone)))
     for key, own in by_membrane(scenes).items():
-        alone = ~have_others(key.membrane, own, crowd, lines)
-        _settle(crowd, key.membrane, own, told, ended[own], alone)
+        alone = ~have_others(key.membrane, own, scene_batch, lines)
+        _settle(scene_batch, key.membrane, own, told, ended[own], alone)
     ends = np.stack([lines.points[:, 0, 0] * SCALE[0], last], axis=1)
     at_landings = told.events[:, 0, 3:5]
     own = np.repeat(np.arange(len(scenes)), 2)
-    loads = crowd.limits(np.nan_to_num(at_landings, nan=2.0).ravel(), own)[0].reshape(at_landings.shape)
+    loads = scene_batch.limits(np.nan_to_num(at_landings, nan=2.0).ravel(), own)[0].reshape(at_landings.shape)
     ramps = ramps_of(lambda _: loads, *told[:-1], ends, told.ahead)
     return Batch(ramps, march.code, found.lines.points * SCALE)
 
 
 def _settle(
-    crowd: Crowd, membrane: Membrane, own: np.ndarray, told: RampColumns, ended: np.ndarray, alone: np.ndarray
+    scene_batch: SceneBatch, membrane: Membrane, own: np.ndarray, told: RampArrays, ended: np.ndarray, alone: np.ndarray
 ) -> None:
     """Settles in place what the lines of scenes `own`, all of one `membrane`, leave open.
 
@@ -396,7 +401,7 @@ def _settle(
         last = snaps[ends]
         seen = events[ends, :, 2 + last]
         folds = events[ends, :, last]
-        found = landings(crowd, membrane, ends, folds, exact=False)
+        found = landings(scene_batch, membrane, ends, folds, exact=False)
         # the line's own landing is exact; the scan only has to show the same
         with np.errstate(invalid="ignore"):
             same = (outcome[ends] == Outcome.breakdown_in_snap) & (np.abs(found.guess[:, 0] / seen[:, 0] - 1) < _SAME)
@@ -404,7 +409,7 @@ def _settle(
         same |= found.kind == Landing.none
         rest = np.flatnonzero(~same)
         if len(rest):
-            exact = landings(crowd, membrane, ends[rest], folds[rest], exact=True)
+            exact = landings(scene_batch, membrane, ends[rest], folds[rest], exact=True)
             outcome[ends[rest[exact.kind == Landing.broken]]] = Outcome.breakdown_in_snap
             events[ends[rest], :, 2 + last[rest]] = exact.state
             lost = (exact.kind == Landing.unknown) | (exact.kind == Landing.unbroken)
@@ -415,6 +420,6 @@ def _settle(
     breaks = breaks[told.ahead[breaks] == FoldAhead.unknown]
     if len(breaks):
         at = events[breaks, 0, 5], events[breaks, 3, 5]
-        told.ahead[breaks] = folds_ahead(membrane, pick(crowd.contour, breaks), *at)
+        told.ahead[breaks] = folds_ahead(membrane, pick(scene_batch.condition, breaks), *at)
     lanes = own[open_]
     events[lanes], snaps[lanes], outcome[lanes] = np.nan, 0, Outcome.unresolved

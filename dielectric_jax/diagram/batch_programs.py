@@ -1,6 +1,6 @@
 """Compiled programs for many loadings at once, each lane with a membrane and a loading of its own.
 
-`march_program` advances continuations a few passes, `meet_program` makes events exact: states at a given load or volume,
+`march_program` advances continuations a few passes, `correct_program` makes events exact: states at a given load or volume,
 at breakdown, and folds. What lanes share is the number of steps, so lanes that need another grid go through another call.
 """
 
@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..model import COLUMNS, SCALE, estimated_error, field_ratio_squared, index_of, integrate_membrane, largest_load
-from ..numerics import Code, Steps, Walk, advance, kept_jit
+from ..model import SCALE, UNKNOWNS, estimated_error, field_ratio_squared, index_of, integrate_membrane, largest_load
+from ..numerics import Code, Steps, Walk, advance, cached_jit
 from .tracing import branch_problem
 
 __all__ = [
@@ -19,9 +19,9 @@ __all__ = [
     "FOLD",
     "LEVEL",
     "VOLUME",
+    "correct_program",
     "limits_program",
     "march_program",
-    "meet_program",
     "new_walks",
 ]
 
@@ -56,22 +56,22 @@ def new_walks(u: np.ndarray, headings: np.ndarray) -> Walk:
     return Walk(**copies)
 
 
-@kept_jit
-def march_program(membrane, contour, limits, walk, peak, accuracy, tops, lengths):
+@cached_jit
+def march_program(membrane, condition, limits, walk, peak, accuracy, load_limits, lengths):
     """Walks after a few passes, a bound of the highest q on them, and after every pass: base, tangent, and whether it is new.
 
     A walk ends with `Code.breakdown` beyond breakdown at the apex, at a load higher than any before on it.
     """
     material = membrane.material
 
-    def one(material, prestretch, contour, limits, walk):
-        problem = branch_problem(material, prestretch, contour, limits, accuracy, tops, lengths, _STEPS)
+    def one(material, prestretch, condition, limits, walk):
+        problem = branch_problem(material, prestretch, condition, limits, accuracy, load_limits, lengths, _STEPS)
         return advance(problem, walk)
 
     def one_pass(state, _):
         walk, peak = state
         before = walk
-        walk, accept = jax.vmap(one)(material, membrane.prestretch, contour, limits, walk)
+        walk, accept = jax.vmap(one)(material, membrane.prestretch, condition, limits, walk)
         apex, q = walk.base[:, 0] * SCALE[0], walk.base[:, 2] * SCALE[2]
         broken = accept & (q * field_ratio_squared(membrane.breakdown, apex, apex) > 1) & (q >= peak)
         code = jnp.where(broken, int(Code.breakdown), walk.code)
@@ -87,14 +87,14 @@ def march_program(membrane, contour, limits, walk, peak, accuracy, tops, lengths
     return tuple(walk), peak, passed
 
 
-def _system(membrane, contour, u, shot):
+def _system(membrane, condition, u, shot):
     """Residuals (2, lanes) of rim and loading, and their gradients (2, 3, lanes) in scaled unknowns."""
-    by_p, by_v, by_q = contour.slopes(shot.volume)
-    columns = jnp.stack([jnp.stack(shot.columns[c]) for c in COLUMNS])
-    rim = columns[:, 0].at[0].add(1.0)
-    condition = by_v * columns[:, 1] + jnp.stack([jnp.zeros_like(by_p), by_p, by_q])
-    value = jnp.stack([shot.lag - (membrane.prestretch - u[0]), contour.residual(u[1], shot.volume, u[2])])
-    return value, jnp.stack([rim * _SCALE, condition * _SCALE]), columns
+    by_p, by_v, by_q = condition.slopes(shot.volume)
+    sensitivities = jnp.stack([jnp.stack(shot.sensitivities[c]) for c in UNKNOWNS])
+    rim = sensitivities[:, 0].at[0].add(1.0)
+    along = by_v * sensitivities[:, 1] + jnp.stack([jnp.zeros_like(by_p), by_p, by_q])
+    value = jnp.stack([shot.stretch_change - (membrane.prestretch - u[0]), condition.residual(u[1], shot.volume, u[2])])
+    return value, jnp.stack([rim * _SCALE, along * _SCALE]), sensitivities
 
 
 def _solve3(first, second, third, right):
@@ -126,7 +126,7 @@ def _excess_load(membrane, u):
     return u[2] - limit, jnp.stack([-rate, jnp.zeros_like(rate), jnp.ones_like(rate)]) * _SCALE
 
 
-@kept_jit
+@cached_jit
 def limits_program(membrane, apex):
     """q of breakdown at the apex, its slope by λa, and the largest load, at stretches (lanes,)."""
     return *_breakdown_load(membrane, apex), largest_load(membrane.material, apex)
@@ -139,24 +139,24 @@ def _zeros(trail):
     return jnp.sum(change, axis=0)
 
 
-def _settle(membrane, contour, kinds, grid, newton, residual, volume):
-    """What `meet_program` returns, from the end of Newton and the residuals (3, lanes) and V on the fine grid."""
+def _settle(membrane, condition, kinds, grid, newton, residual, volume):
+    """What `correct_program` returns, from the end of Newton and the residuals (3, lanes) and V on the fine grid."""
     coarse, fine, contraction = grid
-    u, (slope, _, doubt), move, matrix, columns, before, zeros = newton
+    u, (slope, _, doubt), move, matrix, sensitivities, before, zeros = newton
     good = jnp.all(jnp.isfinite(matrix), axis=(0, 1))
     step = -jnp.where(good, _solve3(matrix[0], matrix[1], matrix[2], residual), jnp.nan)
     u = u + step * _SCALE
     null = jnp.cross(matrix[0], matrix[1], axis=0)
     null = null / jnp.linalg.norm(null, axis=0)
     shift = volume - before
-    volume = volume + jnp.sum(columns[:, 1] * step * _SCALE, axis=0)
+    volume = volume + jnp.sum(sensitivities[:, 1] * step * _SCALE, axis=0)
     # the method is of order eight: what the residual changed by tells the error left on the finer grid
     left = (2 * coarse / fine) ** 8
     jacobian = jnp.moveaxis(matrix[:2] / _SCALE, -1, 0)
     relative = jnp.max(jnp.abs(step * _SCALE) / jnp.maximum(jnp.abs(u), 1e-3), axis=0)
-    change = left * residual[:2].T, left * jnp.abs(shift), contour.slopes(volume)[1], membrane.prestretch
-    error = estimated_error(u, volume, jacobian, columns, *change, relative * contraction)
-    rate = jnp.sum(columns[:, 1] * null * _SCALE, axis=0)
+    change = left * residual[:2].T, left * jnp.abs(shift), condition.slopes(volume)[1], membrane.prestretch
+    error = estimated_error(u, volume, jacobian, sensitivities, *change, relative * contraction)
+    rate = jnp.sum(sensitivities[:, 1] * null * _SCALE, axis=0)
     fold, size = kinds == FOLD, jnp.linalg.norm(step, axis=0)
     along = jnp.abs(jnp.sum(move * null, axis=0)) * doubt + _OF_TANGENT * size / jnp.abs(slope)
     of_load = jnp.abs(slope) * along**2 * SCALE[2] / jnp.maximum(jnp.abs(u[2]), 1e-3)
@@ -164,31 +164,33 @@ def _settle(membrane, contour, kinds, grid, newton, residual, volume):
     spread = jnp.where(fold, jnp.abs(rate) * along / jnp.maximum(jnp.abs(volume), 1e-3), 0.0)
     settled = (size < _SETTLED) & (jnp.linalg.norm(move, axis=0) < jnp.where(fold, _SETTLED_FOLD, 30 * _SETTLED))
     settled &= jnp.all(jnp.isfinite(u), axis=0) & jnp.isfinite(error)
-    index = index_of(zeros, jacobian, columns, volume, contour)
+    index = index_of(zeros, jacobian, sensitivities, volume, condition)
     return u, volume, null, rate, index, error, spread, settled, slope, jnp.linalg.norm(move, axis=0)
 
 
-@kept_jit
-def meet_program(membrane, contour, u, tangents, slopes, rows, targets, kinds, rounds, grid):
+@cached_jit
+def correct_program(membrane, condition, u, tangents, slopes, rows, targets, kinds, rounds, grid):
     """States on loadings where row·u = target, V = target, breakdown, or a fold of q, from u (3, lanes).
 
     Newton on the coarse grid, `rounds` times, then one move by the residuals on the fine one with its Jacobian. At a fold
     the moves along the tangent follow a secant that begins with the `slopes` d(dq)/ds. `grid` is the steps of both, and how
     much of a chord step's move may be left. Returns, with lanes last, u, V, unit tangents in scaled unknowns, dV along
-    them, the index, the errors of a `Met`, whether Newton has settled, the slopes of folds, and the length of Newton's last move.
+    them, the index, the errors of a `Corrected`, whether Newton has settled, the slopes of folds, and the length of Newton's last move.
     """
     coarse, fine, _ = grid
 
-    def goal(u, volume, columns):
+    def goal(u, volume, sensitivities):
         broken, slope = _excess_load(membrane, u)
         value = jnp.where(kinds == VOLUME, volume - targets, jnp.sum(rows * u, axis=0) - targets)
-        gradient = jnp.where(kinds == VOLUME, columns[:, 1], rows) * _SCALE
+        gradient = jnp.where(kinds == VOLUME, sensitivities[:, 1], rows) * _SCALE
         return jnp.where(kinds == BREAKDOWN, broken, value), jnp.where(kinds == BREAKDOWN, slope, gradient)
 
     def newton(_, state):
         u, tangent, (slope, last_apart, _), last_u, last_g = state[:5]
-        shot = integrate_membrane(membrane.material, u[0], u[1], u[2], coarse, columns=COLUMNS, trail="sensitivity")
-        value, jacobian, columns = _system(membrane, contour, u, shot)
+        shot = integrate_membrane(
+            membrane.material, u[0], u[1], u[2], coarse, sensitivities=UNKNOWNS, trail="sensitivity"
+        )
+        value, jacobian, sensitivities = _system(membrane, condition, u, shot)
         tangent = _null(jacobian, tangent)
         apart = jnp.sum((u - last_u) / _SCALE * tangent, axis=0)
         secant = (tangent[2] - last_g) / apart
@@ -196,12 +198,12 @@ def meet_program(membrane, contour, u, tangents, slopes, rows, targets, kinds, r
         # the change of the slope tells how wrong the one before was; the new one is better as its points are nearer
         doubt = jnp.abs(1 - slope / secant) * jnp.minimum(1.0, jnp.abs(apart / last_apart))
         known = jnp.where(fair, jnp.stack([secant, apart, doubt]), state[2])
-        g, gradient = goal(u, shot.volume, columns)
+        g, gradient = goal(u, shot.volume, sensitivities)
         g, gradient = jnp.where(kinds == FOLD, tangent[2] / known[0], g), jnp.where(kinds == FOLD, tangent, gradient)
         move = -_solve3(jacobian[0], jacobian[1], gradient, jnp.concatenate([value, g[None]]))
-        volume = shot.volume + jnp.sum(columns[:, 1] * move * _SCALE, axis=0)
+        volume = shot.volume + jnp.sum(sensitivities[:, 1] * move * _SCALE, axis=0)
         matrix = jnp.concatenate([jacobian, gradient[None]])
-        return u + move * _SCALE, tangent, known, u, tangent[2], move, matrix, columns, volume, _zeros(shot.trail)
+        return u + move * _SCALE, tangent, known, u, tangent[2], move, matrix, sensitivities, volume, _zeros(shot.trail)
 
     lanes = u.shape[1]
     known = jnp.stack([slopes, jnp.full(lanes, 1e-3), jnp.ones(lanes)])
@@ -211,6 +213,6 @@ def meet_program(membrane, contour, u, tangents, slopes, rows, targets, kinds, r
     u = state[0]
     shot = integrate_membrane(membrane.material, u[0], u[1], u[2], fine)
     g = jnp.where(kinds == FOLD, 0.0, goal(u, shot.volume, state[7])[0])
-    lag = shot.lag - (membrane.prestretch - u[0])
-    residual = jnp.stack([lag, contour.residual(u[1], shot.volume, u[2]), g])
-    return _settle(membrane, contour, kinds, grid, (u, state[2], *state[5:]), residual, shot.volume)
+    stretch_change = shot.stretch_change - (membrane.prestretch - u[0])
+    residual = jnp.stack([stretch_change, condition.residual(u[1], shot.volume, u[2]), g])
+    return _settle(membrane, condition, kinds, grid, (u, state[2], *state[5:]), residual, shot.volume)

@@ -9,7 +9,7 @@ import numpy as np
 from ..model import SCALE, SCANNED_LOAD, ConstantVoltage, FoldAhead, Membrane, Outcome, Scene, cached_scan
 from .batch_programs import BREAKDOWN, LEVEL
 from .polylines import Places, Polylines
-from .scene_batch import Crowd, Met, pick
+from .scene_batch import Corrected, SceneBatch, pick
 
 __all__ = ["Assembly", "Events", "assemble", "have_others", "ramps_on_lines"]
 
@@ -26,15 +26,19 @@ class Events:
 
     line: np.ndarray
     position: np.ndarray
-    met: Met
+    corrected: Corrected
     of_fold: np.ndarray
 
     def take(self, which) -> "Events":
         """The events `which`."""
-        return Events(self.line[which], self.position[which], Met(*(v[which] for v in self.met)), self.of_fold[which])
+        return Events(
+            self.line[which], self.position[which], Corrected(*(v[which] for v in self.corrected)), self.of_fold[which]
+        )
 
 
-def _meet_places(crowd: Crowd, owner, lines: Polylines, places: Places, targets, kinds, tolerance: float) -> Met:
+def _meet_places(
+    scene_batch: SceneBatch, owner, lines: Polylines, places: Places, targets, kinds, tolerance: float
+) -> Corrected:
     """Exact states at places of lines: on planes across them (NaN as target), at loads, or at breakdown."""
     at, tangent, _ = lines.at(places)
     across = np.isnan(targets)
@@ -42,28 +46,28 @@ def _meet_places(crowd: Crowd, owner, lines: Polylines, places: Places, targets,
     targets = np.where(across, (tangent * at).sum(axis=1), targets)
     reach = _REACH * lines.lengths[places.line, places.interval] + 1e-6
     which = owner[places.line]
-    met = crowd.meet(which, at * SCALE, rows, targets, kinds, tolerance=tolerance, reach=reach)
-    sign = np.where((met.tangent * tangent).sum(axis=1) < 0, -1.0, 1.0)
-    return met._replace(tangent=met.tangent * sign[:, None], volume_rate=met.volume_rate * sign)
+    corrected = scene_batch.correct(which, at * SCALE, rows, targets, kinds, tolerance=tolerance, reach=reach)
+    sign = np.where((corrected.tangent * tangent).sum(axis=1) < 0, -1.0, 1.0)
+    return corrected._replace(tangent=corrected.tangent * sign[:, None], volume_rate=corrected.volume_rate * sign)
 
 
-def _exact(crowd: Crowd, owner, lines: Polylines, which: np.ndarray, tolerance: float):
+def _exact(scene_batch: SceneBatch, owner, lines: Polylines, which: np.ndarray, tolerance: float):
     """Makes every point of the lines `which` exact, in place; the lines and points where that failed."""
     line, point = np.nonzero(np.isfinite(lines.points[which, :, 0]))
     line = which[line]
     at, way = lines.points[line, point], lines.tangents[line, point]
     kinds = np.full(len(line), LEVEL)
-    met = crowd.meet(
+    corrected = scene_batch.correct(
         owner[line], at * SCALE, way / SCALE, (way * at).sum(axis=1), kinds, tolerance=100 * tolerance, reach=0.1
     )
-    sign = np.where((met.tangent * way).sum(axis=1) < 0, -1.0, 1.0)
-    good = met.ok
-    lines.points[line[good], point[good]] = met.u[good] / SCALE
-    lines.tangents[line[good], point[good]] = met.tangent[good] * sign[good, None]
+    sign = np.where((corrected.tangent * way).sum(axis=1) < 0, -1.0, 1.0)
+    good = corrected.ok
+    lines.points[line[good], point[good]] = corrected.u[good] / SCALE
+    lines.tangents[line[good], point[good]] = corrected.tangent[good] * sign[good, None]
     return line[~good], point[~good]
 
 
-def _find_folds(crowd: Crowd, owner, lines: Polylines, tolerance: float):
+def _find_folds(scene_batch: SceneBatch, owner, lines: Polylines, tolerance: float):
     """The lines with points between which q turns once or not at all, those turns as exact folds, and up to where.
 
     The last are positions (lines,) beyond which a fold may be missing, infinite where there is no doubt.
@@ -73,7 +77,7 @@ def _find_folds(crowd: Crowd, owner, lines: Polylines, tolerance: float):
     """
     sure = np.full(len(owner), np.inf)
     inexact = np.ones(len(owner), bool)
-    done = Met.nothing(0), Places(np.zeros(0, int), np.zeros(0, int), np.zeros(0))
+    done = Corrected.nothing(0), Places(np.zeros(0, int), np.zeros(0, int), np.zeros(0))
     todo = np.arange(len(owner))
     for _ in range(_LOOKS):
         turns, dips = lines.turns(2)
@@ -81,13 +85,15 @@ def _find_folds(crowd: Crowd, owner, lines: Polylines, tolerance: float):
         at, tangent, bend = lines.at(turns)
         reach = _REACH * lines.lengths[turns.line, turns.interval] + 1e-6
         start = owner[turns.line], at * SCALE, tangent, bend[:, 2]
-        met = crowd.meet_folds(*start, tolerance=tolerance, reach=reach)
-        sign = np.where((met.tangent * tangent).sum(axis=1) < 0, -1.0, 1.0)
-        met = met._replace(tangent=met.tangent * sign[:, None], volume_rate=met.volume_rate * sign)
-        again = np.unique(np.concatenate([turns.line[~met.ok], dips.line[~_harmless(lines, dips, inexact)]]))
-        keep = np.flatnonzero(met.ok & ~np.isin(turns.line, again))
+        corrected = scene_batch.correct_folds(*start, tolerance=tolerance, reach=reach)
+        sign = np.where((corrected.tangent * tangent).sum(axis=1) < 0, -1.0, 1.0)
+        corrected = corrected._replace(
+            tangent=corrected.tangent * sign[:, None], volume_rate=corrected.volume_rate * sign
+        )
+        again = np.unique(np.concatenate([turns.line[~corrected.ok], dips.line[~_harmless(lines, dips, inexact)]]))
+        keep = np.flatnonzero(corrected.ok & ~np.isin(turns.line, again))
         done = (
-            Met(*(np.concatenate([a, b[keep]]) for a, b in zip(done[0], met, strict=True))),
+            Corrected(*(np.concatenate([a, b[keep]]) for a, b in zip(done[0], corrected, strict=True))),
             Places(*(np.concatenate([getattr(p, n) for p in (done[1], turns.take(keep))]) for n in _PLACE)),
         )
         if not len(again):
@@ -95,15 +101,15 @@ def _find_folds(crowd: Crowd, owner, lines: Polylines, tolerance: float):
         todo = again
         fresh = again[inexact[again]]
         if len(fresh):
-            failed, point = _exact(crowd, owner, lines, fresh, tolerance)
+            failed, point = _exact(scene_batch, owner, lines, fresh, tolerance)
             np.minimum.at(sure, failed, point - 1.0)
             inexact[fresh] = False
             continue
-        more = [p.take(np.isin(p.line, again)) for p in (turns.take(~met.ok), dips)]
+        more = [p.take(np.isin(p.line, again)) for p in (turns.take(~corrected.ok), dips)]
         more = Places(*(np.concatenate([getattr(p, n) for p in more]) for n in _PLACE))
         middle = Places(more.line, more.interval, np.clip(more.share, 0.25, 0.75))
         kinds = np.full(len(middle), LEVEL)
-        found = _meet_places(crowd, owner, lines, middle, np.full(len(middle), np.nan), kinds, 100 * tolerance)
+        found = _meet_places(scene_batch, owner, lines, middle, np.full(len(middle), np.nan), kinds, 100 * tolerance)
         ok = np.flatnonzero(found.ok)
         lines, moved = lines.insert(middle.take(ok), found.u[ok] / SCALE, found.tangent[ok])
         done[1].interval[:] = moved[done[1].line, done[1].interval]
@@ -122,9 +128,9 @@ def _find_folds(crowd: Crowd, owner, lines: Polylines, tolerance: float):
         ]
         for places in (open_, turns.take(np.array(rest, int))):
             np.minimum.at(sure, places.line, places.interval.astype(float))
-    met, places = done
+    corrected, places = done
     order = np.lexsort((places.position, places.line))
-    return lines, places.take(order), Met(*(v[order] for v in met)), sure
+    return lines, places.take(order), Corrected(*(v[order] for v in corrected)), sure
 
 
 def _moved(position: np.ndarray, moved: np.ndarray) -> np.ndarray:
@@ -144,22 +150,22 @@ def _harmless(lines: Polylines, dips: Places, inexact: np.ndarray) -> np.ndarray
     return ~inexact[dips.line] & (least > _CLEAR * np.minimum(*np.abs(ends)))
 
 
-def assemble(crowd: Crowd, owner: np.ndarray, lines: Polylines, tolerance: float) -> "Assembly":
+def assemble(scene_batch: SceneBatch, owner: np.ndarray, lines: Polylines, tolerance: float) -> "Assembly":
     """The folds of q among the points of the lines, and their other events."""
-    lines, places, met, sure = _find_folds(crowd, owner, lines, tolerance)
-    lines, moved = lines.insert(places, met.u / SCALE, met.tangent)
+    lines, places, corrected, sure = _find_folds(scene_batch, owner, lines, tolerance)
+    lines, moved = lines.insert(places, corrected.u / SCALE, corrected.tangent)
     sure = _moved(sure, moved)
     position = moved[places.line, places.interval] + 1.0
-    folds = Events(places.line, position, met, np.full(len(places), -1))
+    folds = Events(places.line, position, corrected, np.full(len(places), -1))
 
     valid = np.isfinite(lines.points[..., 0])
     line, point = np.nonzero(valid)
     q, along = lines.points[..., 2] * SCALE[2], lines.tangents[..., 2] * SCALE[2]
     broken, slope = np.full_like(q, np.nan), np.full_like(q, np.nan)
-    broken[line, point], slope[line, point], _ = crowd.limits(lines.points[line, point, 0], owner[line])
+    broken[line, point], slope[line, point], _ = scene_batch.limits(lines.points[line, point, 0], owner[line])
     everything = np.arange(len(owner))
     # at a fold its own load is met, not crossed
-    own_load = folds.met.u[:, 2]
+    own_load = folds.corrected.u[:, 2]
     of_fold, on = np.nonzero(owner[folds.line][:, None] == owner[None])
     at_load = q[on] - own_load[of_fold][:, None]
     same = on == folds.line[of_fold]
@@ -180,23 +186,29 @@ def assemble(crowd: Crowd, owner: np.ndarray, lines: Polylines, tolerance: float
         belongs.append(of[row])
     places = Places(*(np.concatenate([getattr(p, n) for p in found]) for n in ("line", "interval", "share")))
     sets, belongs = np.concatenate(sets), np.concatenate(belongs)
-    met = _meet_places(crowd, owner, lines, places, np.concatenate(targets), np.concatenate(kinds), tolerance)
-    np.minimum.at(sure, places.line[~met.ok], places.interval[~met.ok].astype(float))
+    corrected = _meet_places(
+        scene_batch, owner, lines, places, np.concatenate(targets), np.concatenate(kinds), tolerance
+    )
+    np.minimum.at(sure, places.line[~corrected.ok], places.interval[~corrected.ok].astype(float))
     # the load of a crossing is as wrong as its fold's, and where q hardly changes along the branch the place is vague
-    vague = np.maximum(np.abs(met.u[:, 2]), 1e-3) * met.error
+    vague = np.maximum(np.abs(corrected.u[:, 2]), 1e-3) * corrected.error
     crossing = sets == 2
-    of = folds.met
+    of = folds.corrected
     vague[crossing] += (of.error * np.maximum(np.abs(of.u[:, 2]), 1e-3))[belongs[crossing]]
     with np.errstate(all="ignore"):
-        far = np.abs(met.volume_rate / (met.tangent[:, 2] * SCALE[2])) * vague / np.maximum(np.abs(met.volume), 1e-3)
-    met = met._replace(spread=np.where(sets == 1, 0.0, far))
+        far = (
+            np.abs(corrected.volume_rate / (corrected.tangent[:, 2] * SCALE[2]))
+            * vague
+            / np.maximum(np.abs(corrected.volume), 1e-3)
+        )
+    corrected = corrected._replace(spread=np.where(sets == 1, 0.0, far))
     # in the order of the states met: beside each other their guesses on the cubic may be in another
     begin, chord = (lines.points[places.line, places.interval + k] for k in (0, 1))
     chord = chord - begin
-    share = ((met.u / SCALE - begin) * chord).sum(axis=1) / (chord**2).sum(axis=1)
-    events = Events(places.line, places.interval + np.clip(share, 0.0, 1.0), met, belongs)
-    kept = [events.take(np.flatnonzero(met.ok & (sets == k))) for k in range(3)]
-    kept[0].met.u[:, 2] = 0.0
+    share = ((corrected.u / SCALE - begin) * chord).sum(axis=1) / (chord**2).sum(axis=1)
+    events = Events(places.line, places.interval + np.clip(share, 0.0, 1.0), corrected, belongs)
+    kept = [events.take(np.flatnonzero(corrected.ok & (sets == k))) for k in range(3)]
+    kept[0].corrected.u[:, 2] = 0.0
     return Assembly(lines, folds, kept[0], kept[1], kept[2], sure)
 
 
@@ -218,14 +230,23 @@ _AMBIGUOUS = 1e-6  # a landing this near to breakdown is not told
 _SPECIAL = (6, 5, 3)  # folds, zeros, breakdowns that are told
 
 
-def _values(met: Met) -> np.ndarray:
+def _values(corrected: Corrected) -> np.ndarray:
     """λa, p, V, q and error of states, (states, 5)."""
-    return np.stack([met.u[:, 0], met.u[:, 1], met.volume, met.u[:, 2], np.maximum(met.error, met.spread)], axis=1)
+    return np.stack(
+        [
+            corrected.u[:, 0],
+            corrected.u[:, 1],
+            corrected.volume,
+            corrected.u[:, 2],
+            np.maximum(corrected.error, corrected.spread),
+        ],
+        axis=1,
+    )
 
 
 def _along_lines(events: Events, start: np.ndarray | None, lines: int, count: int) -> np.ndarray:
     """Values (lines, 5, count) of the first events on every line, `start` (lines, 5) before them; NaN where there are fewer."""
-    line, position, values = events.line, events.position, _values(events.met)
+    line, position, values = events.line, events.position, _values(events.corrected)
     if start is not None:
         own = np.flatnonzero(np.isfinite(start[:, 0]))
         line, position = np.concatenate([own, line]), np.concatenate([np.full(len(own), -1.0), position])
@@ -245,7 +266,7 @@ class _Lists:
         self.positions, self.values, self.on_line, self.of_fold = {}, {}, {}, {}
         for kind in ("folds", "zeros", "breaks", "crossings"):
             events = getattr(of, kind)
-            self.positions[kind], self.values[kind] = events.position.tolist(), _values(events.met)
+            self.positions[kind], self.values[kind] = events.position.tolist(), _values(events.corrected)
             self.on_line[kind] = {}
             for i, line in enumerate(events.line.tolist()):
                 self.on_line[kind].setdefault(line, []).append(i)
@@ -256,7 +277,7 @@ class _Lists:
 class _Ramp:
     """The way up and down of one scene over the events of its lines.
 
-    `limits` are those of the membrane at the crossings, see `Crowd.limits`; `top` is the largest stretch of the window.
+    `limits` are those of the membrane at the crossings, see `SceneBatch.limits`; `top` is the largest stretch of the window.
     """
 
     def __init__(self, of: Assembly, lists: _Lists, main: int, limits: np.ndarray, top: float):
@@ -281,12 +302,12 @@ class _Ramp:
 
     def land(self, fold: int, side: int):
         """The stable state at a fold's load nearest in volume in the direction of the jump, or None."""
-        met, crossings = self.of.folds.met, self.of.crossings
-        way = side * np.sign(met.volume_rate[fold])
+        corrected, crossings = self.of.folds.corrected, self.of.crossings
+        way = side * np.sign(corrected.volume_rate[fold])
         found = [
-            (way * (crossings.met.volume[i] - met.volume[fold]), i)
+            (way * (crossings.corrected.volume[i] - corrected.volume[fold]), i)
             for i in self.lists.of_fold.get(fold, ())
-            if crossings.met.index[i] == 0 and crossings.met.u[i, 2] <= SCANNED_LOAD * self.limits[2, i]
+            if crossings.corrected.index[i] == 0 and crossings.corrected.u[i, 2] <= SCANNED_LOAD * self.limits[2, i]
         ]
         found = [f for f in found if f[0] > 0]
         return min(found)[1] if found else None
@@ -311,7 +332,7 @@ class _Ramp:
             if fold is None and broken is None:
                 return Outcome.unresolved
             at = [side * e.position[i] if i is not None else np.inf for e, i in ((of.folds, fold), (of.breaks, broken))]
-            first = of.breaks.met.u[broken, 0] if at[1] < at[0] else of.folds.met.u[fold, 0]
+            first = of.breaks.corrected.u[broken, 0] if at[1] < at[0] else of.folds.corrected.u[fold, 0]
             if first > self.top:
                 return Outcome.unresolved
             if broken is not None and at[1] < at[0]:
@@ -328,13 +349,13 @@ class _Ramp:
             if landing is None:
                 return Outcome.no_landing  # on this line
             self.tell(3 + stage, "crossings", landing)
-            load, limit = of.folds.met.u[fold, 2], self.limits[0, landing]
+            load, limit = of.folds.corrected.u[fold, 2], self.limits[0, landing]
             if abs(load - limit) <= _AMBIGUOUS * limit:
                 return Outcome.unresolved
             if load >= limit:
                 return Outcome.breakdown_in_snap
             line, position = int(of.crossings.line[landing]), float(of.crossings.position[landing])
-            side = 1 if of.crossings.met.tangent[landing, 2] > 0 else -1
+            side = 1 if of.crossings.corrected.tangent[landing, 2] > 0 else -1
         return Outcome.unresolved
 
     def down(self, line: int, position: float, side: int) -> Outcome:
@@ -361,7 +382,7 @@ class _Ramp:
                 return Outcome.unresolved
             self.tell(8 + stage, "crossings", landing)
             line, position = int(of.crossings.line[landing]), float(of.crossings.position[landing])
-            side = 1 if of.crossings.met.tangent[landing, 2] > 0 else -1
+            side = 1 if of.crossings.corrected.tangent[landing, 2] > 0 else -1
         return Outcome.unresolved
 
     def fold_ahead(self, fractions: np.ndarray, left: bool) -> FoldAhead:
@@ -377,7 +398,7 @@ class _Ramp:
         return FoldAhead.fold if fractions[fold] <= SCANNED_LOAD else FoldAhead.none
 
 
-class RampColumns(typing.NamedTuple):
+class RampArrays(typing.NamedTuple):
     """The columns of `chambers.ramps_of` for many scenes, as far as their own lines show."""
 
     events: np.ndarray
@@ -389,7 +410,9 @@ class RampColumns(typing.NamedTuple):
     ahead: np.ndarray
 
 
-def ramps_on_lines(crowd: Crowd, owner: np.ndarray, of: Assembly, start: Met, ends: typing.Any) -> RampColumns:
+def ramps_on_lines(
+    scene_batch: SceneBatch, owner: np.ndarray, of: Assembly, start: Corrected, ends: typing.Any
+) -> RampArrays:
     """The ramps of scenes as far as their lines show them; the branch from the start of scene k is line k.
 
     `no_landing` means that no line of the scene has a landing. `ends.limits` (scenes, 5) are the windows, `ends.left` says of
@@ -402,12 +425,12 @@ def ramps_on_lines(crowd: Crowd, owner: np.ndarray, of: Assembly, start: Met, en
     stable = start.ok & (start.index == 0)
     unstable = start.ok & ~stable
     outcome[unstable], told[unstable, :, 0] = int(Outcome.start_unstable), begin[unstable]
-    limits = crowd.limits(of.crossings.met.u[:, 0], owner[of.crossings.line])
+    limits = scene_batch.limits(of.crossings.corrected.u[:, 0], owner[of.crossings.line])
     # the last step of a march may leave the window of the stretch: what lies there does not count
-    limits[2, of.crossings.met.u[:, 0] > ends.limits[owner[of.crossings.line], 1]] = 0.0
+    limits[2, of.crossings.corrected.u[:, 0] > ends.limits[owner[of.crossings.line], 1]] = 0.0
     fold = owner[of.folds.line]
-    fractions = of.folds.met.u[:, 2] / crowd.limits(of.folds.met.u[:, 0], fold)[2]
-    fractions[of.folds.met.u[:, 0] > ends.limits[fold, 1]] = np.inf
+    fractions = of.folds.corrected.u[:, 2] / scene_batch.limits(of.folds.corrected.u[:, 0], fold)[2]
+    fractions[of.folds.corrected.u[:, 0] > ends.limits[fold, 1]] = np.inf
     for k in np.flatnonzero(stable).tolist():
         ramp = _Ramp(of, lists, k, limits, float(ends.limits[k, 1]))
         ramp.told[:, 0] = begin[k]
@@ -423,7 +446,7 @@ def ramps_on_lines(crowd: Crowd, owner: np.ndarray, of: Assembly, start: Met, en
     for mark in marks:  # where the start is unstable only the start is known
         mark[~stable] = np.nan
     folds, zeros, breaks = marks
-    return RampColumns(told, folds, zeros, breaks, snaps, outcome, ahead)
+    return RampArrays(told, folds, zeros, breaks, snaps, outcome, ahead)
 
 
 _DENSE = 6, 16, 200  # points on an interval of a line: closer where cells are left, as rows crowd towards lock-up
@@ -442,7 +465,7 @@ def _spread(cells: np.ndarray) -> np.ndarray:
     return both
 
 
-def have_others(membrane: Membrane, own: np.ndarray, crowd: Crowd, lines: Polylines) -> np.ndarray:
+def have_others(membrane: Membrane, own: np.ndarray, scene_batch: SceneBatch, lines: Polylines) -> np.ndarray:
     """Which of the scenes `own`, all with one membrane, have a contour below breakdown away from their line."""
     found = np.zeros(len(own), bool)
     stretches, _, loads = Scene(membrane, ConstantVoltage(0.0)).limits()
@@ -452,7 +475,7 @@ def have_others(membrane: Membrane, own: np.ndarray, crowd: Crowd, lines: Polyli
     apex, t = chart.apex_stretch[rows], chart.load_fraction[columns]
     p, v = (field[np.ix_(rows, columns)] for field in (chart.pressure, chart.volume))
     q = t * chart.largest_load[rows, None]
-    breaks = crowd.limits(apex, np.full(len(apex), own[0]))[0]
+    breaks = scene_batch.limits(apex, np.full(len(apex), own[0]))[0]
     known = np.isfinite(p) & np.isfinite(v)
     known = known[1:, 1:] & known[1:, :-1] & known[:-1, 1:] & known[:-1, :-1]
     known &= (q[:-1, :-1] <= breaks[:-1, None]) & (t[:-1] >= 0)
@@ -460,10 +483,10 @@ def have_others(membrane: Membrane, own: np.ndarray, crowd: Crowd, lines: Polyli
     at_nodes = [field.ravel()[nodes] for field in (p, v, q)]
     for i in range(0, len(own), _TOGETHER):
         some = own[i : i + _TOGETHER]
-        contour = jax.tree.map(lambda leaf: leaf[:, None], pick(crowd.contour, some))
+        condition = jax.tree.map(lambda leaf: leaf[:, None], pick(scene_batch.condition, some))
         sign = np.zeros((len(some), *p.shape), bool)
         with np.errstate(invalid="ignore"):
-            sign.reshape(len(some), -1)[:, nodes] = contour.residual(*at_nodes) < 0
+            sign.reshape(len(some), -1)[:, nodes] = condition.residual(*at_nodes) < 0
         along, across = sign[..., 1:] ^ sign[..., :-1], sign[:, 1:] ^ sign[:, :-1]
         away = known & (along[:, 1:] | along[:, :-1] | across[..., 1:])
         for most in _DENSE:

@@ -14,7 +14,7 @@ from ..model import (
     MOST_STEPS,
     SCALE,
     SCANNED_LOAD,
-    Contour,
+    LoadingCondition,
     Membrane,
     Scan,
     Shooting,
@@ -68,7 +68,7 @@ def find_curves(solver, limits, *, count: int, tolerance: float, extend: bool = 
 
     `limits` is `Scene.limits()`. Without `extend` an engine on a surface draws what its domain holds, and no more.
     """
-    membrane, contour = solver.membrane, solver.contour
+    membrane, condition = solver.membrane, solver.condition
     stretches, locks, loads = limits
     box = np.array([*stretches, *loads])
     box[0] = max(box[0], float(membrane.prestretch) + 1e-8 * (box[1] - box[0]))
@@ -78,7 +78,7 @@ def find_curves(solver, limits, *, count: int, tolerance: float, extend: bool = 
         return margins(membrane, u, box).min()
 
     def follow(u, direction, **options):
-        return run_trace(membrane, contour, limits, u, direction, **options)
+        return run_trace(membrane, condition, limits, u, direction, **options)
 
     def retrace(u, direction):
         line, tangents, code = follow(u, direction, level=-1)
@@ -89,8 +89,8 @@ def find_curves(solver, limits, *, count: int, tolerance: float, extend: bool = 
 
     lines = surface_branches(solver, box, follow if extend else None) if isinstance(solver, OnSurface) else []
     chart = cached_scan(membrane, stretches, loads)
-    contours = chart.contours(contour)
-    more, pending = _traced(membrane, contour, limits, contours, lines, chart, len(_LARGEST) if extend else 0)
+    contours = chart.contours(condition)
+    more, pending = _traced(membrane, condition, limits, contours, lines, chart, len(_LARGEST) if extend else 0)
     curves, complete = [], True
     for line, tangents, codes in lines + more:
         x = scaled(line)
@@ -107,11 +107,11 @@ def find_curves(solver, limits, *, count: int, tolerance: float, extend: bool = 
         shadows = [_on_chart(membrane, _dense(c.points.u.T, c.points.tangent)) for c in curves]
         complete &= all(_uncovered(membrane, c, shadows, chart.load_fraction[-1]) is None for c in pending)
     curves = _distinct(membrane, curves)
-    curves.sort(key=lambda c: c.points.place(contour).min())
+    curves.sort(key=lambda c: c.points.place(condition).min())
     return curves, bool(complete)
 
 
-def _traced(membrane, contour, limits, contours, known: list, chart: Scan, rounds: int):
+def _traced(membrane, condition, limits, contours, known: list, chart: Scan, rounds: int):
     """The branches that the scan shows and the `known` lines do not cover, by continuation; and what is left of them."""
     lines: list = []
     shadows = [_on_chart(membrane, _dense(line, tangents)) for line, tangents, _ in known]
@@ -128,7 +128,7 @@ def _traced(membrane, contour, limits, contours, known: list, chart: Scan, round
             headings += [heading, -heading]
         if not seeds:
             break
-        traced = run_traces(membrane, contour, limits, seeds, headings, level=level, largest=largest)
+        traced = run_traces(membrane, condition, limits, seeds, headings, level=level, largest=largest)
         for k in range(0, len(traced), 2):
             joined = _join(traced[k], traced[k + 1])
             if joined is None:
@@ -142,7 +142,7 @@ def _traced(membrane, contour, limits, contours, known: list, chart: Scan, round
             shadows.append(shadow)
         left = [_uncovered(membrane, c, shadows, top) for c in pending]
         pending = []
-        for vertices in (_confirmed(membrane, contour, c) for c in left if c is not None):
+        for vertices in (_confirmed(membrane, condition, c) for c in left if c is not None):
             again = _uncovered(membrane, vertices, shadows, top) if len(vertices) > 2 else None
             if again is not None:
                 pending.append(again)
@@ -228,7 +228,7 @@ def _distinct(membrane, curves: list[Curve]) -> list[Curve]:
     return [curves[i] for i in kept]
 
 
-def _confirmed(membrane, contour: Contour, vertices: np.ndarray) -> np.ndarray:
+def _confirmed(membrane, condition: LoadingCondition, vertices: np.ndarray) -> np.ndarray:
     """Those vertices of a contour that lie near a state of the explicit map itself, moved onto it along the load.
 
     Near lock-up at a high load the chart has a cliff that the scan's interpolation may miss by much.
@@ -239,7 +239,7 @@ def _confirmed(membrane, contour: Contour, vertices: np.ndarray) -> np.ndarray:
 
     def value(load):
         pressure, volume, _ = map_nodes(membrane.material, apex, load, rim, float(MOST_STEPS))
-        return pressure, contour.residual(pressure, volume, load * limit)
+        return pressure, condition.residual(pressure, volume, load * limit)
 
     first = vertices[:, 2] / limit
     old, new = first - 1e-4, first
@@ -308,7 +308,7 @@ class Solved:
     @property
     def control(self) -> int:
         """The column of the control, see `Points.control`."""
-        return self.solver.contour.control
+        return self.solver.condition.control
 
     @property
     def fold_kind(self) -> str:
@@ -321,7 +321,7 @@ class Solved:
 
     def place(self, located: Located) -> float:
         """By what states at one control are told apart: the volume, or the apex stretch where the volume is held."""
-        return float(located.point.place(self.solver.contour)[0])
+        return float(located.point.place(self.solver.condition)[0])
 
     def states_at(self, squared: float) -> list[Located]:
         """All states at one value of the control, q or Q², on all branches."""
@@ -346,7 +346,7 @@ class Solved:
             return None
         engine = self.solver.shooting if isinstance(self.solver, OnSurface) else self.solver
         row = np.full((1, 3), np.nan)
-        point = engine.polish(fold.point.u, row, np.array([volume]), tolerance=self.tolerance, reach=0.1)
+        point = engine.corrected_points(fold.point.u, row, np.array([volume]), tolerance=self.tolerance, reach=0.1)
         if not (point.ok[0] and abs(point.u[2, 0]) < 1e-9):
             return None
         curve = self.curves[fold.branch]

@@ -14,7 +14,7 @@ from ..model import (
     ChargeControl,
     ConstantPressure,
     ConstantVoltage,
-    Contour,
+    LoadingCondition,
     Membrane,
     PrescribedVolume,
     Ramp,
@@ -73,7 +73,7 @@ class Diagram:
     limits: tuple
     engine: str = "continuation"
     voltage: float | None = None
-    contour: Contour | None = None
+    condition: LoadingCondition | None = None
     _up: Ramp | None = None
     _down: Ramp | None = None
     _solver: object = None
@@ -122,9 +122,9 @@ class Diagram:
 
     def gas_pressure(self, volume) -> np.ndarray | None:
         """The pressure of the chamber's gas at `volume`; None where the pressure is held."""
-        if not isinstance(mechanical(self.scene.loading), Chamber) or self.contour is None:
+        if not isinstance(mechanical(self.scene.loading), Chamber) or self.condition is None:
             return None
-        return np.asarray(self.contour.gas_pressure(np.asarray(volume, float)))
+        return np.asarray(self.condition.gas_pressure(np.asarray(volume, float)))
 
     def plot(self, **options):
         """The diagram as a matplotlib figure, see `plot.plot_diagram`."""
@@ -175,7 +175,7 @@ class Diagram:
         return "\n".join(lines) + ")"
 
 
-_STATIONS = 256  # of a branch, at least: special points are sought between them
+_MESH_POINTS = 256  # of a branch, at least: special points are sought between them
 
 
 def _branches(solved: Solved, points: int) -> list[Branch]:
@@ -188,7 +188,7 @@ def _branches(solved: Solved, points: int) -> list[Branch]:
 def _branch(curve: Curve, tolerance: float, points: int, more_flags: tuple) -> Branch:
     """The record of a branch; fewer points than stations are thinned out of them."""
     chosen = np.arange(len(curve.points))
-    if points < _STATIONS and len(chosen) > points:
+    if points < _MESH_POINTS and len(chosen) > points:
         chosen = np.unique(np.linspace(0, len(chosen) - 1, points).round().astype(int))
     states = states_of(curve.points.take(chosen), tolerance)
     columns = {f: np.array([getattr(s, f) for s in states]) for f in State.__dataclass_fields__ if f != "flags"}
@@ -196,13 +196,13 @@ def _branch(curve: Curve, tolerance: float, points: int, more_flags: tuple) -> B
     return Branch(**columns, start=curve.start, end=curve.end, flags=curve.flags + more_flags)
 
 
-def _solver(membrane: Membrane, contour: Contour, surface: Surface | None) -> Shooting | OnSurface:
+def _solver(membrane: Membrane, condition: LoadingCondition, surface: Surface | None) -> Shooting | OnSurface:
     """The engine of a diagram."""
-    return Shooting(membrane, contour) if surface is None else OnSurface(surface, contour)
+    return Shooting(membrane, condition) if surface is None else OnSurface(surface, condition)
 
 
 def _solve(solver, limits, kinds, points, tolerance, certify: bool, extend: bool) -> tuple[Solved, bool]:
-    count = max(points, _STATIONS)
+    count = max(points, _MESH_POINTS)
     curves, complete = find_curves(solver, limits, count=count, tolerance=tolerance, extend=extend)
     if not curves:
         raise SceneError(Code.no_equilibrium)
@@ -238,7 +238,7 @@ def pressure_volume(
     check_concrete(scene)
     check_surface(surface, membrane)
     kinds = ("pressure_fold", "breakdown", "hoop_tension_loss")
-    solver = _solver(membrane, scene.loading.contour(), surface)
+    solver = _solver(membrane, scene.loading.condition(), surface)
     warm_up(membrane)
     solved, complete = _solve(solver, scene.limits(), kinds, points, tolerance, certify, extend)
     return _diagram("pressure-volume", scene, solved, complete, points, voltage=float(voltage))
@@ -288,7 +288,7 @@ def voltage_volume(
         return _flat_diagram(scene, limits, points, tolerance)
     fold = "charge_fold" if isinstance(loading, ChargeControl) else "fold"
     kinds = (fold, "zero_voltage", "breakdown", "hoop_tension_loss")
-    solver = _solver(scene.membrane, loading.contour(*filling), surface)
+    solver = _solver(scene.membrane, loading.condition(*filling), surface)
     try:
         solved, complete = _solve(solver, limits, kinds, points, tolerance, certify, extend)
     except SceneError:
@@ -309,7 +309,7 @@ def _diagram(kind: str, scene: Scene, solved: Solved, complete: bool, points: in
     fixed = {
         "tolerance": solved.tolerance,
         "limits": scene.limits(),
-        "contour": solved.solver.contour,
+        "condition": solved.solver.condition,
         "engine": engine,
     }
     return Diagram(kind, scene, _branches(solved, points), special, complete, _solver=solved, **fixed, **more)

@@ -27,7 +27,7 @@ from ..model import (
     events_table,
     points_table,
 )
-from ..numerics import Code, SceneError, kept_jit
+from ..numerics import Code, SceneError, cached_jit
 from ..plot import plot_diagram
 from ..surface import ById, Rows, Surface, rows_of
 from .states import check_concrete, check_surface
@@ -67,7 +67,7 @@ class Glance:
             return None
         start = self.events[0].state
         return np.asarray(
-            self.scene.loading.contour(start.pressure, start.volume).gas_pressure(np.asarray(volume, float))
+            self.scene.loading.condition(start.pressure, start.volume).gas_pressure(np.asarray(volume, float))
         )
 
     def plot(self, **options):
@@ -145,13 +145,13 @@ def _voltage_volume(scene: Scene, surface: Surface, curves: Curves, ramps: Ramps
     events = () if outcome == Outcome.unresolved else tuple(_events(rows, ramps, outcome))
     regime = Regime(int(ramps.regime))
     strain = float(ramps.area_strain)
-    kept = _Kept("voltage-volume", scene, branches, points, None)
+    kept = _Cached("voltage-volume", scene, branches, points, None)
     return kept.glance(
         events=events, outcome=outcome, regime=regime, area_strain=strain, several=bool(curves.several.any())
     )
 
 
-class _Kept(typing.NamedTuple):
+class _Cached(typing.NamedTuple):
     """What both kinds of diagram have."""
 
     kind: str
@@ -187,7 +187,7 @@ def _branches(rows: Rows, q, pressure, volume, control) -> list[Branch]:
     return branches
 
 
-@kept_jit
+@cached_jit
 def _breakdown_load(surface: Surface, apex):
     return surface.breakdown_load(apex)
 
@@ -239,15 +239,15 @@ def _events(rows: Rows, ramps: Ramps, outcome: Outcome) -> typing.Iterator[Event
     yield from (Event("end", "down", s, "zero voltage") for s in one["rest"])
 
 
-@kept_jit
-def _sheet(surface: Surface, apex, q):
+@cached_jit
+def _on_surface(surface: Surface, apex, q):
     """p, V, the bound of their error, and E/E_EB at (λa, q)."""
     state = surface(apex, q)
     ratio = jnp.sqrt(q / surface.breakdown_load(apex))
     return state.pressure, state.volume, surface.error_bound(apex, q), ratio
 
 
-@kept_jit
+@cached_jit
 def _met(surface: Surface, apex, q):
     """From λa near the extremes of p at q, and near breakdown: those λa by Newton's method, of one shape each."""
 
@@ -270,12 +270,12 @@ def _pressure_volume(scene: Scene, surface: Surface, voltage: float) -> Glance:
     rows = rows_of(ById(surface))
     apex = np.asarray(rows.apex_stretch)
     q = np.full_like(apex, voltage**2)
-    pressure, volume, *_ = map(np.asarray, _sheet(rows.surface, apex, q))
+    pressure, volume, *_ = map(np.asarray, _on_surface(rows.surface, apex, q))
     branches = _branches(rows, q, pressure, volume, pressure)
     if not branches:
         raise SceneError(Code.surface_edge, _NOTHING)
     points = [p for k, b in enumerate(branches) if len(b) > 6 for p in _extremes(rows.surface, b, k)]
-    kept = _Kept("pressure-volume", scene, branches, points, voltage)
+    kept = _Cached("pressure-volume", scene, branches, points, voltage)
     return kept.glance(events=(), outcome=None, regime=Regime.not_decided, area_strain=np.nan, several=False)
 
 
@@ -289,7 +289,7 @@ def _extremes(surface: Surface, branch: Branch, number: int) -> typing.Iterator[
     guesses = [apex(PPoly.from_spline(line).roots(extrapolate=False)) for line in (rising, excess)]
     packed = np.stack([np.pad(g[:_MOST], (0, max(0, _MOST - len(g))), constant_values=np.nan) for g in guesses])
     met = np.stack(_met(surface, packed, q))
-    pressure, volume, error, ratio = map(np.asarray, _sheet(surface, met, np.full_like(met, q)))
+    pressure, volume, error, ratio = map(np.asarray, _on_surface(surface, met, np.full_like(met, q)))
     with np.errstate(invalid="ignore"):
         found = np.isfinite(pressure) & (np.abs(met - packed) < _NEAR)
     for kind, row in (("fold", 0), ("breakdown", 1)):

@@ -17,8 +17,8 @@ from ..model import (
     LOAD_PANELS,
     SCANNED_LOAD,
     ConstantVoltage,
-    Contour,
     FoldAhead,
+    LoadingCondition,
     Membrane,
     Scan,
     Scene,
@@ -27,7 +27,7 @@ from ..model import (
 )
 from ..surface import ById
 from .batch_programs import LEVEL
-from .scene_batch import Crowd, Met, pick
+from .scene_batch import Corrected, SceneBatch, pick
 
 __all__ = ["Landing", "Landings", "folds_ahead", "landings"]
 
@@ -156,19 +156,19 @@ class _Line(typing.NamedTuple):
     holed: np.ndarray  # (lanes,): the scan lacks a state of the window beyond the fold, so nothing can be excluded
 
 
-def _line(field: _Field, contour: Contour, apex: np.ndarray, load: np.ndarray) -> _Line:
-    own = {name: np.asarray(value)[:, None] for name, value in vars(contour).items()}
-    contour = dataclasses.replace(contour, **own)
+def _line(field: _Field, condition: LoadingCondition, apex: np.ndarray, load: np.ndarray) -> _Line:
+    own = {name: np.asarray(value)[:, None] for name, value in vars(condition).items()}
+    condition = dataclasses.replace(condition, **own)
     t = load[:, None] / field.limit
     rows = np.broadcast_to(np.arange(len(field.apex)), t.shape)
     p, v = field.at(rows, t)
-    residual = contour.residual(p, v, load[:, None])
+    residual = condition.residual(p, v, load[:, None])
     inside = np.isfinite(residual) & (field.apex > apex[:, None])
     # the edge between a row inside and one beyond the window
     passes = (t[:, :-1] <= SCANNED_LOAD) != (t[:, 1:] <= SCANNED_LOAD)
     share = np.where(passes, (SCANNED_LOAD - t[:, :-1]) / np.where(passes, t[:, 1:] - t[:, :-1], 1.0), 0.0)
     top = field.at(np.arange(len(field.apex)), np.full(len(field.apex), SCANNED_LOAD))
-    at_top = contour.residual(top[0], top[1], load[:, None])
+    at_top = condition.residual(top[0], top[1], load[:, None])
     edge = at_top[:, :-1] + share * (at_top[:, 1:] - at_top[:, :-1])
     edge_apex = field.apex[:-1] + share * np.diff(field.apex)
     edge = np.where(passes & (edge_apex > apex[:, None]), edge, np.nan)
@@ -283,16 +283,26 @@ def _between(field: _Field, line: _Line, k: int, i: int) -> list[float]:
     return [low, float(np.exp(shape[1](low)))]
 
 
-def _nearest(met: Met, fraction: np.ndarray, volume: float) -> np.ndarray | None:
+def _nearest(corrected: Corrected, fraction: np.ndarray, volume: float) -> np.ndarray | None:
     """λa, p, V, q, error of the stable state in the window nearest in volume above `volume`; None where there is none."""
-    good = np.flatnonzero((met.index == 0) & (met.volume > volume) & (fraction <= SCANNED_LOAD))
+    good = np.flatnonzero((corrected.index == 0) & (corrected.volume > volume) & (fraction <= SCANNED_LOAD))
     if not len(good):
         return None
-    i = good[np.argmin(met.volume[good])]
-    return np.array([met.u[i, 0], met.u[i, 1], met.volume[i], met.u[i, 2], max(met.error[i], met.spread[i])])
+    i = good[np.argmin(corrected.volume[good])]
+    return np.array(
+        [
+            corrected.u[i, 0],
+            corrected.u[i, 1],
+            corrected.volume[i],
+            corrected.u[i, 2],
+            max(corrected.error[i], corrected.spread[i]),
+        ]
+    )
 
 
-def landings(crowd: Crowd, membrane: Membrane, which: np.ndarray, folds: np.ndarray, *, exact: bool) -> Landings:
+def landings(
+    scene_batch: SceneBatch, membrane: Membrane, which: np.ndarray, folds: np.ndarray, *, exact: bool
+) -> Landings:
     """Where snaps of scenes `which` of one `membrane` land that leave from `folds` (n, 5), each λa, p, V, q, error.
 
     A landing is the stable state at the fold's load, t ≤ 0.9, nearest in volume towards larger ones. With `exact` every
@@ -304,7 +314,7 @@ def landings(crowd: Crowd, membrane: Membrane, which: np.ndarray, folds: np.ndar
     seeds: list[tuple[int, np.ndarray]] = []  # of the snaps that exact states settle
     for i in range(0, count, _TOGETHER):
         part = np.arange(i, min(i + _TOGETHER, count))
-        line = _line(field, pick(crowd.contour, which[part]), folds[part, 0], folds[part, 3])
+        line = _line(field, pick(scene_batch.condition, which[part]), folds[part, 0], folds[part, 3])
         clear, lands, found.guess[part] = _clear(line, field, folds[part, 0])
         found.kind[part[clear & ~lands]] = Landing.none
         for k in np.flatnonzero(~clear | (exact & lands)):
@@ -314,32 +324,34 @@ def landings(crowd: Crowd, membrane: Membrane, which: np.ndarray, folds: np.ndar
         found.kind[part] = np.where(clear & lands, Landing.broken, found.kind[part])
     there = np.flatnonzero(found.kind == Landing.broken)
     if len(there):
-        ratio = folds[there, 3] / crowd.limits(found.guess[there, 0], which[there])[0]
+        ratio = folds[there, 3] / scene_batch.limits(found.guess[there, 0], which[there])[0]
         found.kind[there[ratio < 1]] = Landing.unbroken
         about = np.abs(ratio - 1) < _ABOUT
         found.kind[there[about]] = Landing.unknown
         known = {k for k, _ in seeds}
         seeds += [(int(k), found.guess[k][None]) for k in there[about] if int(k) not in known]
-    _settle_by_states(crowd, which, folds, seeds, found)
+    _settle_by_states(scene_batch, which, folds, seeds, found)
     return found
 
 
-def _settle_by_states(crowd: Crowd, which, folds, seeds: list[tuple[int, np.ndarray]], found: Landings) -> None:
+def _settle_by_states(
+    scene_batch: SceneBatch, which, folds, seeds: list[tuple[int, np.ndarray]], found: Landings
+) -> None:
     """Settles in place the landings of snaps by exact states at the candidates (λa, p) of each."""
     snap = np.repeat([k for k, _ in seeds], [len(c) for _, c in seeds]).astype(int)
     if len(snap):
         load, lanes = folds[snap, 3], which[snap]
         u = np.column_stack([np.concatenate([c for _, c in seeds]), load])
         rows, kinds = np.tile([0.0, 0.0, 1.0], (len(snap), 1)), np.full(len(snap), LEVEL)
-        met = crowd.meet(lanes, u, rows, load, kinds, tolerance=_TOLERANCE, reach=_REACH)
-        again = np.flatnonzero(~met.ok)  # once more from where Newton was
+        corrected = scene_batch.correct(lanes, u, rows, load, kinds, tolerance=_TOLERANCE, reach=_REACH)
+        again = np.flatnonzero(~corrected.ok)  # once more from where Newton was
         if len(again):
-            begin = np.where(np.isfinite(met.u[again]), met.u[again], u[again])
+            begin = np.where(np.isfinite(corrected.u[again]), corrected.u[again], u[again])
             given = begin, rows[again], load[again], kinds[again]
-            second = crowd.meet(lanes[again], *given, tolerance=_TOLERANCE, reach=_REACH)
-            for store, values in zip(met, second, strict=True):
+            second = scene_batch.correct(lanes[again], *given, tolerance=_TOLERANCE, reach=_REACH)
+            for store, values in zip(corrected, second, strict=True):
                 store[again] = values
-        limits = crowd.limits(np.nan_to_num(met.u[:, 0], nan=2.0), lanes)
+        limits = scene_batch.limits(np.nan_to_num(corrected.u[:, 0], nan=2.0), lanes)
         fraction = load / limits[2]
     for k, candidates in seeds:
         own = np.flatnonzero(snap == k)
@@ -347,19 +359,19 @@ def _settle_by_states(crowd: Crowd, which, folds, seeds: list[tuple[int, np.ndar
             found.kind[k] = Landing.none
             continue
         state = None
-        if met.ok[own].all():
-            state = _nearest(Met(*(v[own] for v in met)), fraction[own], float(folds[k, 2]))
+        if corrected.ok[own].all():
+            state = _nearest(Corrected(*(v[own] for v in corrected)), fraction[own], float(folds[k, 2]))
         if state is None:
             # a clear landing whose state is another is a contradiction
-            certain = met.ok[own].all() and not np.isfinite(found.guess[k, 0])
+            certain = corrected.ok[own].all() and not np.isfinite(found.guess[k, 0])
             found.kind[k] = Landing.none if certain else Landing.unknown
             continue
         found.state[k] = state
-        limit = crowd.limits(state[:1], which[k : k + 1])[0, 0]
+        limit = scene_batch.limits(state[:1], which[k : k + 1])[0, 0]
         found.kind[k] = Landing.broken if folds[k, 3] >= limit else Landing.unbroken
 
 
-def folds_ahead(membrane: Membrane, contour: Contour, apex: np.ndarray, load: np.ndarray) -> np.ndarray:
+def folds_ahead(membrane: Membrane, condition: LoadingCondition, apex: np.ndarray, load: np.ndarray) -> np.ndarray:
     """Whether the branches of one `membrane` that rise through (λa, q) turn in q further on: `FoldAhead` (lanes,).
 
     Each branch is followed from row to row of the scan, up to the edge of the scanned window. Where it does not go on
@@ -374,7 +386,7 @@ def folds_ahead(membrane: Membrane, contour: Contour, apex: np.ndarray, load: np
         new = going[field.apex[row] > walk.apex[going]]
         if not len(new):
             continue
-        own = pick(contour, new)
+        own = pick(condition, new)
         guess = walk.fraction[new] + walk.slope[new] * (field.apex[row] - walk.apex[new])
         found, settled = _crossing(field, own, row, guess, walk.load[new])
         lost = ~settled | ~(np.abs(found - walk.fraction[new]) < _LEAP)
@@ -407,7 +419,9 @@ def folds_ahead(membrane: Membrane, contour: Contour, apex: np.ndarray, load: np
     return answer
 
 
-def _edge_crossing(field: _Field, contour: Contour, row: int, low: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _edge_crossing(
+    field: _Field, condition: LoadingCondition, row: int, low: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """(λa, q) where contours (lanes,) leave the scanned window between λa = `low` and a row; NaN where they do not.
 
     The residual along the edge t = 0.9 is a cubic through four rows.
@@ -415,8 +429,8 @@ def _edge_crossing(field: _Field, contour: Contour, row: int, low: np.ndarray) -
     rows = np.clip(row - 2, 0, len(field.apex) - 4) + np.arange(4)
     limit = SCANNED_LOAD * field.limit[rows]
     p, v = field.at(rows, np.full(4, SCANNED_LOAD))
-    contour = dataclasses.replace(contour, **{name: np.asarray(x)[:, None] for name, x in vars(contour).items()})
-    residual = contour.residual(p, v, limit) / p
+    condition = dataclasses.replace(condition, **{name: np.asarray(x)[:, None] for name, x in vars(condition).items()})
+    residual = condition.residual(p, v, limit) / p
     nodes = field.apex[rows]
 
     def at(apex, values):
@@ -444,14 +458,14 @@ class _Walk(typing.NamedTuple):
     slope: np.ndarray
 
 
-def _crossing(field: _Field, contour: Contour, row: int, t: np.ndarray, q: np.ndarray):
+def _crossing(field: _Field, condition: LoadingCondition, row: int, t: np.ndarray, q: np.ndarray):
     """t at which contours (lanes,) cross a row near the load fractions t, by chord steps; and whether they do."""
     rows = np.full(len(t), row)
 
     def residual(t):
         # a little beyond the window the last polynomial goes on
         p, v = field.at(rows, np.clip(t, -0.9, SCANNED_LOAD))
-        return contour.residual(p, v, q) / p
+        return condition.residual(p, v, q) / p
 
     here = np.clip(t, -0.9, SCANNED_LOAD - 2e-3)
     h = np.where(here > 0.5, -1e-3, 1e-3)

@@ -93,7 +93,7 @@ def clip_to_window(line, tangents, inside, end):
     tangents[end] /= np.linalg.norm(tangents[end])
 
 
-def _stations(solver, line, tangents, count, tolerance, chart) -> tuple[Points, np.ndarray, np.ndarray]:
+def _mesh_points(solver, line, tangents, count, tolerance, chart) -> tuple[Points, np.ndarray, np.ndarray]:
     """Exact points at stations of a traced line (scaled), which of them are good, and the loads where they were sought."""
     at, normal = _resample(solver.membrane, line, tangents, count)
     # at the flat end p falls like a power of λa − λ0, which no Hermite cubic follows: start on the scan
@@ -102,7 +102,7 @@ def _stations(solver, line, tangents, count, tolerance, chart) -> tuple[Points, 
         load = at[flat, 2] * SCALE[2] / largest_load(solver.membrane.material, at[flat, 0])
         at[flat, 1] = chart.pressure_of(at[flat, 0], load) / SCALE[1]
     target = (normal * at).sum(axis=1)
-    points = solver.polish((at * SCALE).T, normal / SCALE, target, tolerance=tolerance, reach=0.5)
+    points = solver.corrected_points((at * SCALE).T, normal / SCALE, target, tolerance=tolerance, reach=0.5)
     points.tangent = points.tangent * np.where((points.tangent * normal).sum(axis=1) < 0, -1.0, 1.0)[:, None]
     # one that went astray has left its place by more than its neighbours are apart
     apart = np.linalg.norm(np.diff(at, axis=0, prepend=2 * at[:1] - at[1:2]), axis=1)
@@ -120,7 +120,7 @@ def exact_curve(solver, line, tangents, codes, count, tolerance, chart, retrace:
     `retrace(u, direction)` follows the branch from an exact point on the finest grid: a scaled line, its tangents and the
     code of its end. It is used where stations are lost inside the scanned window.
     """
-    points, good, sought = _stations(solver, line, tangents, count, tolerance, chart)
+    points, good, sought = _mesh_points(solver, line, tangents, count, tolerance, chart)
     if good.sum() < 2:
         return None, False
     kept = np.flatnonzero(good)
@@ -164,7 +164,7 @@ def exact_curve(solver, line, tangents, codes, count, tolerance, chart, retrace:
         points = _insert(solver, points, wide, tolerance)
         if len(points) == before:
             break
-    place = points.place(solver.contour)
+    place = points.place(solver.condition)
     if place[0] > place[-1]:  # a branch begins at its smaller volume
         points = _reversed(points)
         codes.reverse()
@@ -191,7 +191,7 @@ def _extend(solver, points, end, count, tolerance, chart, retrace) -> tuple[Poin
     line, tangents, code = retrace(points.u[:, -1], points.tangent[-1] * SCALE)
     if len(line) < 3:
         return points, None
-    more, good, _ = _stations(solver, line, tangents, count, tolerance, chart)
+    more, good, _ = _mesh_points(solver, line, tangents, count, tolerance, chart)
     reached = int(np.argmin(np.append(good[1:], False)))  # good stations in a row after the first, which is known
     more = more.take(np.arange(1, reached + 1))
     joined = Points.join([points, more]) if reached else points
@@ -211,7 +211,7 @@ def between(points: Points, i: np.ndarray, share: np.ndarray):
 def solve_between(solver, points, i, share, **options) -> Points:
     """Exact points on the planes across the chords from points i to i + 1, oriented like the branch."""
     at, normal, target = between(points, i, share)
-    found = solver.polish((at * SCALE).T, normal / SCALE, target, reach=0.5, **options)
+    found = solver.corrected_points((at * SCALE).T, normal / SCALE, target, reach=0.5, **options)
     found.tangent = found.tangent * np.where((found.tangent * normal).sum(axis=1) < 0, -1.0, 1.0)[:, None]
     return found
 

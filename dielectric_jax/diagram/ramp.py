@@ -71,7 +71,7 @@ def _land(solved, fold, side):
     """
     curve = solved.curves[fold.branch]
     i = int(np.clip(np.searchsorted(curve.position, fold.position), 1, len(curve.position) - 1))
-    direction = side * np.sign(np.diff(curve.points.place(solved.solver.contour)[i - 1 : i + 1])[0])
+    direction = side * np.sign(np.diff(curve.points.place(solved.solver.condition)[i - 1 : i + 1])[0])
     found = []
     for other in solved.states_at(solved.control_at(fold)):
         jump = (solved.place(other) - solved.place(fold)) * direction

@@ -96,7 +96,7 @@ class ContourOnRows(eqx.Module):
         middle = base + (_STENCIL - 1) / 2
         return values @ _FULL.T, values @ _INNER.T, scale, lambda x: middle + _STENCIL / 2 * x
 
-    def meet(self, row, kind, target):
+    def correct(self, row, kind, target):
         """The event that begins at a row: FOLD of q, LEVEL q = target, or BREAKDOWN q = q_b(λa).
 
         Gives its place in rows, q and V there, and the error of both, for folds a fifth of that of λa − λ0 too; the error is
@@ -182,7 +182,7 @@ class Events(eqx.Module):
 
 
 def _events(contour: ContourOnRows, rows, present, kinds, targets) -> Events:
-    place, q, v, error = jax.vmap(contour.meet)(rows, kinds, targets)
+    place, q, v, error = jax.vmap(contour.correct)(rows, kinds, targets)
     return Events(jnp.where(present, place, jnp.inf), q, v, jnp.where(present, error, 0.0))
 
 

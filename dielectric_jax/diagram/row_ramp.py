@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..model import Outcome
-from ..numerics import kept_jit
+from ..numerics import cached_jit
 from ..surface import ROWS, Conditions, Rows, Surface
 from .row_points import BREAKDOWN, FOLD, LEVEL, ContourOnRows, Events, Marks, first_place, last_place, meet_on_surface
 
-__all__ = ["polish_program", "ramp_program", "snap_program"]
+__all__ = ["corrector_program", "ramp_program", "snap_program"]
 
 _SNAPS = 2
 _MOST_ERROR = 1e-4  # between rows, of a ramp that is told
@@ -142,7 +142,7 @@ def _ramp(rows: Rows, condition: Conditions, start: Events, q, v, found, again, 
     )
 
 
-@kept_jit
+@cached_jit
 def ramp_program(rows: Rows, start: Events, conditions: Conditions, q, v, found, again, above):
     """Many loadings: their events (loadings, 5, 11), special points (loadings, 5, count), snaps, outcomes, reach."""
     return jax.vmap(_ramp, in_axes=(None, 0, 0, 1, 1, 1, 1, 1))(rows, conditions, start, q, v, found, again, above)
@@ -159,7 +159,7 @@ def _snap(rows: Rows, condition: Conditions, start: Events, q, v, found, again):
     rise = q[1:] - q[:-1]
     row, turns = first_place((at[1:-1] > begin) & (at[1:-1] < last) & (rise[:-1] > 0) & (rise[1:] <= 0))
     row = row + 1
-    place, load, _, error = contour.meet(row, FOLD, 0.0)
+    place, load, _, error = contour.correct(row, FOLD, 0.0)
     way = (at[:-1] > begin) & (at[:-1] < row)
     # a slow rise amid faster ones may hide two folds
     slow = way[1:-1] & (rise[1:-1] < rise[:-2]) & (rise[1:-1] < rise[2:]) & (at[1:-2] < row - 1)
@@ -175,7 +175,7 @@ def _snap(rows: Rows, condition: Conditions, start: Events, q, v, found, again):
     )
 
 
-@kept_jit
+@cached_jit
 def snap_program(rows: Rows, start: Events, conditions: Conditions, q, v, found, again):
     """`_snap` of many loadings: (loadings, 2, 5)."""
     return jax.vmap(_snap, in_axes=(None, 0, 0, 1, 1, 1, 1))(rows, conditions, start, q, v, found, again)
@@ -186,15 +186,15 @@ _KINDS = np.array([LEVEL, FOLD, FOLD, LEVEL, LEVEL, BREAKDOWN, FOLD, FOLD, LEVEL
 _JUMPS, _FROM = np.array([3, 4, 8, 9]), np.array([1, 2, 6, 7])
 
 
-@kept_jit
-def polish_program(surface: Surface, conditions: Conditions, told):
+@cached_jit
+def corrector_program(surface: Surface, conditions: Conditions, told):
     """The events (lanes, 5, 11) of some ramps met on the surface."""
 
     def one(condition, told):
         def meet_all(_, told):
             targets = jnp.zeros(len(_KINDS)).at[_JUMPS].set(told[3, _FROM])
-            meet = jax.vmap(lambda *v: meet_on_surface(surface, condition, *v))
-            found, size = meet(jnp.asarray(_KINDS), targets, told[0], told[3])
+            correct = jax.vmap(lambda *v: meet_on_surface(surface, condition, *v))
+            found, size = correct(jnp.asarray(_KINDS), targets, told[0], told[3])
             bound = surface.error_bound(found[:, 0], found[:, 3]) + jnp.where(size < 1e-6, size**2, jnp.inf)
             return jnp.concatenate([found, jnp.where(jnp.isnan(told[0]), jnp.nan, bound)[:, None]], axis=1).T
 

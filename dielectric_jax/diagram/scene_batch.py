@@ -6,10 +6,10 @@ import typing
 import jax
 import numpy as np
 
-from ..model import CONTRACTION, SCALE, Contour, Membrane, difficulty
-from .batch_programs import FOLD, limits_program, meet_program
+from ..model import CONTRACTION, SCALE, LoadingCondition, Membrane, difficulty
+from .batch_programs import FOLD, correct_program, limits_program
 
-__all__ = ["LANES", "Crowd", "Met"]
+__all__ = ["LANES", "Corrected", "SceneBatch"]
 
 LANES, FEW = 256, 32  # of one call: what fits the cache; where no more are left
 _SPLIT = 96  # so many lanes cost less in several small calls than in a large one
@@ -38,7 +38,7 @@ def padded(which: np.ndarray) -> np.ndarray:
     return np.pad(which, (0, (LANES if len(which) > FEW else FEW) - len(which)), mode="edge")
 
 
-class Met(typing.NamedTuple):
+class Corrected(typing.NamedTuple):
     """Exact points of many lanes, arrays (lanes, …); `ok` says whether Newton met them and the estimate its tolerance.
 
     `error` is that of p, V, q at fixed λa; `spread` the relative error of V that comes of not knowing where on its branch an
@@ -55,12 +55,12 @@ class Met(typing.NamedTuple):
     ok: np.ndarray
 
     @staticmethod
-    def nothing(lanes: int) -> "Met":
+    def nothing(lanes: int) -> "Corrected":
         none = np.full(lanes, np.nan)
         three = np.full((lanes, 3), np.nan)
         index = np.full(lanes, -1)
         numbers = {n: none.copy() for n in ("volume", "volume_rate", "spread")}
-        return Met(u=three, tangent=three.copy(), index=index, error=none + np.inf, ok=index > 0, **numbers)
+        return Corrected(u=three, tangent=three.copy(), index=index, error=none + np.inf, ok=index > 0, **numbers)
 
 
 # level of difficulty, steps of Newton, of the last residual, in the order in which they are tried
@@ -80,14 +80,14 @@ _FIRST = [next((i for i, g in enumerate(_GRIDS) if g[0] == k), len(_GRIDS)) for 
 
 
 @dataclasses.dataclass
-class Crowd:
+class SceneBatch:
     """Scenes as columns: leaves of shape (scenes,); `locks_from` is where an inner layer may form, see `locking_stretch`.
 
     With `alone` there is one scene, and calls have one lane.
     """
 
     membrane: Membrane
-    contour: Contour
+    condition: LoadingCondition
     locks_from: np.ndarray
     alone: bool = False
 
@@ -105,18 +105,18 @@ class Crowd:
             out[:, part] = [np.asarray(v)[: len(apex[part])] for v in found]
         return out
 
-    def meet(self, which, u, rows, targets, kinds, *, tolerance: float, reach) -> Met:
+    def correct(self, which, u, rows, targets, kinds, *, tolerance: float, reach) -> Corrected:
         """States of scenes `which` from u (lanes, 3) with row·u = target, or what `kinds` says."""
 
         def run(now, u, grid):
             own = which[now]
             nothing = np.tile([[0.0], [0.0], [1.0]], (1, len(now))), np.ones(len(now))
             given = *nothing, rows[now].T, targets[now], kinds[now], _ROUNDS[0], grid
-            return meet_program(pick(self.membrane, own), pick(self.contour, own), u[now].T, *given)
+            return correct_program(pick(self.membrane, own), pick(self.condition, own), u[now].T, *given)
 
-        return self._meet(run, which, u, tolerance, reach)
+        return self._correct(run, which, u, tolerance, reach)
 
-    def meet_folds(self, which, u, tangents, slopes, *, tolerance: float, reach) -> Met:
+    def correct_folds(self, which, u, tangents, slopes, *, tolerance: float, reach) -> Corrected:
         """Folds of q of scenes `which` from u (lanes, 3), unit tangents there, and d(dq)/ds along them."""
         slopes = slopes.copy()
 
@@ -124,16 +124,16 @@ class Crowd:
             own, lanes = which[now], len(now)
             nothing = np.zeros((3, lanes)), np.zeros(lanes), np.full(lanes, FOLD)
             given = tangents[now].T, slopes[now], *nothing, _ROUNDS[1], grid
-            return meet_program(pick(self.membrane, own), pick(self.contour, own), u[now].T, *given)
+            return correct_program(pick(self.membrane, own), pick(self.condition, own), u[now].T, *given)
 
-        return self._meet(run, which, u, tolerance, reach, slopes)
+        return self._correct(run, which, u, tolerance, reach, slopes)
 
-    def _meet(self, run, which, u, tolerance, reach, slopes=None) -> Met:
+    def _correct(self, run, which, u, tolerance, reach, slopes=None) -> Corrected:
         """Newton on one pair of grids after the other until the estimate meets the tolerance; lanes that fail end."""
         lanes = len(which)
-        met, start, u = Met.nothing(lanes), u, u.copy()
+        corrected, start, u = Corrected.nothing(lanes), u, u.copy()
         if not lanes:
-            return met
+            return corrected
         load = u[:, 2] / self.limits(u[:, 0], which)[2]
         stage = np.array(_FIRST)[difficulty(self.locks_from[which], u[:, 0], np.nan_to_num(load))]
         turns, strayed, last = np.zeros(lanes, int), np.zeros(lanes, bool), np.full(lanes, np.inf)
@@ -146,15 +146,15 @@ class Crowd:
             found = run(now if self.alone else padded(now), u, (coarse, fine, CONTRACTION[level]))
             *parts, slope, move = (np.asarray(v).T[: len(now)] for v in found)
             u[now] = parts[0]
-            for store, values in zip(met, parts, strict=True):
+            for store, values in zip(corrected, parts, strict=True):
                 store[now] = values
             if slopes is not None:
                 slopes[now] = np.where(np.isfinite(slope), slope, slopes[now])
             with np.errstate(invalid="ignore"):
                 lost = ~np.isfinite(u[now]).all(axis=1)
                 lost |= ~(np.linalg.norm((u[now] - start[now]) / SCALE, axis=1) <= reach[now])
-            settled = ~lost & met.ok[now]
-            good = settled & (met.error[now] <= tolerance) & (met.spread[now] <= _MOST_SPREAD)
+            settled = ~lost & corrected.ok[now]
+            good = settled & (corrected.error[now] <= tolerance) & (corrected.spread[now] <= _MOST_SPREAD)
             turns[now] += 1
             again = ~lost & ~settled & (turns[now] < _TURNS) & (move < last[now] / 2)  # Newton is under way
             last[now] = np.where(again, move, np.inf)
@@ -162,9 +162,9 @@ class Crowd:
             # who is lost is so for want of resolution, if at all: once more, on the next level
             ends = s + 1 in _FIRST
             later = np.where(lost, np.where(strayed[now], len(_GRIDS), _FIRST[level + 1]), s + 1)
-            good |= settled & ends & (met.error[now] <= _WORSE * tolerance)
+            good |= settled & ends & (corrected.error[now] <= _WORSE * tolerance)
             strayed[now] |= lost
             stage[now] = np.where(good, len(_GRIDS), np.where(again, s, later))
             turns[now[~again]] = 0
-            met.ok[now] = good
-        return met
+            corrected.ok[now] = good
+        return corrected

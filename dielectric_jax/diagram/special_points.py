@@ -126,7 +126,7 @@ def locate(solver, curves: list[Curve], wanted: list[tuple], tolerance: float, *
             )
             found[w].error = max(found[w].error, abs(float(seen - exact)) / max(abs(float(exact)), 1e-3))
         elif not certify:
-            found[w] = dataclasses.replace(root, point=_with_index(curves[w[1]], w[2], root, solver.contour.control))
+            found[w] = dataclasses.replace(root, point=_with_index(curves[w[1]], w[2], root, solver.condition.control))
     return list(found.values()), missed
 
 
@@ -258,7 +258,7 @@ def _locate_loads(solver, curves, wanted, tolerance):
     share = _hermite_roots(x[first, 2], x[first + 1, 2], t[first, 2], t[first + 1, 2], gap, target / SCALE[2])
     at, normal, _ = between(ends, first, share)
     rows = np.tile([0.0, 0.0, 1.0], (len(wanted), 1))
-    points = solver.polish((at * SCALE).T, rows, target, tolerance=tolerance / 2, reach=0.5)
+    points = solver.corrected_points((at * SCALE).T, rows, target, tolerance=tolerance / 2, reach=0.5)
     points.tangent = points.tangent * np.where((points.tangent * normal).sum(axis=1) < 0, -1.0, 1.0)[:, None]
     along = (normal * (scaled(points.u.T) - x[first])).sum(axis=1)
     ok = points.ok & (along > -1e-6) & (along < gap + 1e-6) & (points.error <= tolerance)

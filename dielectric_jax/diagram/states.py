@@ -22,12 +22,12 @@ from ..model import (
     as_scalar,
     cached_scan,
     capacitance,
+    corrected_points,
     field_on,
     is_concrete,
     largest_load,
     map_nodes,
     mechanical,
-    polish,
     require_float64,
     stretch_shares,
     voltage_of,
@@ -151,8 +151,10 @@ def _filled_state(membrane: Membrane, quantity: str, wanted: float, tolerance: f
     if len(crossing) and not _touches(value[: crossing[0] + 1]):
         guess = _crossing_state(apex, pressure, value, float(membrane.prestretch), int(crossing[0]))
         row = [[np.nan] * 3] if quantity == "volume" else [[0.0, 1.0, 0.0]]
-        contour = ConstantVoltage(0.0).contour()
-        found = polish(membrane, contour, np.array(guess), np.array(row), np.array([wanted]), tolerance=tolerance / 100)
+        condition = ConstantVoltage(0.0).condition()
+        found = corrected_points(
+            membrane, condition, np.array(guess), np.array(row), np.array([wanted]), tolerance=tolerance / 100
+        )
         if found.ok[0] and found.error[0] <= tolerance:
             return states_of(found, tolerance)[0]
     try:  # near the peak of the pressure, or at the window's edge: the fine search
@@ -237,25 +239,16 @@ def equilibrium(
         )
     if (name == "apex_stretch" and wanted == prestretch) or wanted == 0:
         return _flat_equilibrium(membrane, voltage, all)
-    contour = scene.loading.contour()
+    condition = scene.loading.condition()
     check_surface(surface, membrane)
     found, extremes = _starts(membrane, voltage**2, name, wanted, limits, surface)
-    met = [_beside_extreme(membrane, contour, extreme, name, wanted, tolerance) for extreme in extremes]
+    results = [_beside_extreme(membrane, condition, extreme, name, wanted, tolerance) for extreme in extremes]
     if found.size:
         rows = {"apex_stretch": [1.0, 0, 0], "pressure": [0, 1.0, 0], "volume": [np.nan] * 3}[name]
         lanes = found.shape[1]
-        targets = np.full(lanes, wanted)
-        met.append(polish(membrane, contour, found, np.tile(rows, (lanes, 1)), targets, tolerance=tolerance, reach=1.0))
-    states: list[State] = []
-    vague = False
-    for result in met:
-        for state in states_of(result.take(np.flatnonzero(result.ok)), tolerance):
-            # an unstretched film's tension comes from λa − λ0 alone, which rounding leaves no digits of
-            unstretched = prestretch - 1 < _FLATTEST and state.apex_stretch - prestretch < _FLATTEST
-            if unstretched or not state.error_estimate <= _MOST_ERROR:
-                vague = True
-            elif not any(_same(state, other) for other in states):
-                states.append(state)
+        plane = np.tile(rows, (lanes, 1)), np.full(lanes, wanted)
+        results.append(corrected_points(membrane, condition, found, *plane, tolerance=tolerance, reach=1.0))
+    states, vague = _distinct_states(membrane, results, tolerance)
     if not states:
         if name == "volume":
             check_reachable(membrane, wanted)
@@ -263,6 +256,22 @@ def equilibrium(
         raise SceneError(Code.near_flat if flat else Code.beyond_tolerance if vague else Code.no_equilibrium)
     states.sort(key=lambda s: s.volume)
     return states if all else states[0]
+
+
+def _distinct_states(membrane: Membrane, results: list[Points], tolerance: float) -> tuple[list[State], bool]:
+    """The states of points, each once, and whether some were left out because their error is too large."""
+    states: list[State] = []
+    vague = False
+    for result in results:
+        for state in states_of(result.take(np.flatnonzero(result.ok)), tolerance):
+            # an unstretched film's tension comes from λa − λ0 alone, which rounding leaves no digits of
+            prestretch = float(membrane.prestretch)
+            unstretched = prestretch - 1 < _FLATTEST and state.apex_stretch - prestretch < _FLATTEST
+            if unstretched or not state.error_estimate <= _MOST_ERROR:
+                vague = True
+            elif not any(_same(state, other) for other in states):
+                states.append(state)
+    return states, vague
 
 
 def check_reachable(membrane: Membrane, volume: float) -> None:
@@ -276,7 +285,7 @@ def check_reachable(membrane: Membrane, volume: float) -> None:
         raise SceneError(Code.near_flat)
 
 
-def _beside_extreme(membrane, contour, extreme, name: str, wanted: float, tolerance: float) -> Points:
+def _beside_extreme(membrane, condition, extreme, name: str, wanted: float, tolerance: float) -> Points:
     """The two states, or none, whose p or V is very near an extreme on a line of the chart.
 
     There the value tells λa badly, but λa the value well: exact states at seven stretches give a polynomial, its roots the
@@ -286,7 +295,9 @@ def _beside_extreme(membrane, contour, extreme, name: str, wanted: float, tolera
 
     def exact(apex):
         u = np.stack([apex, np.full(len(apex), pressure), np.full(len(apex), load)])
-        return polish(membrane, contour, u, np.tile([1.0, 0, 0], (len(apex), 1)), apex, tolerance=tolerance / 100)
+        return corrected_points(
+            membrane, condition, u, np.tile([1.0, 0, 0], (len(apex), 1)), apex, tolerance=tolerance / 100
+        )
 
     x = np.cos(np.pi * (np.arange(7) + 0.5) / 7)
     points = exact(top + reach * x)

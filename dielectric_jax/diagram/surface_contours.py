@@ -15,11 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..model import (
-    LADDERS,
+    GRIDS,
     LEAST_ESTIMATE,
     SCALE,
     SCANNED_LOAD,
-    Contour,
+    LoadingCondition,
     Membrane,
     Points,
     Shooting,
@@ -31,7 +31,7 @@ from ..model import (
     run_chunks,
     value_program,
 )
-from ..numerics import Code, kept_jit
+from ..numerics import Code, cached_jit
 from ..surface import ById, Surface, pressure_and_volume
 
 __all__ = ["OnSurface", "margins", "surface_branches"]
@@ -45,8 +45,8 @@ _AT_EDGE = 1e-3
 _SAME = 0.1  # in scaled unknowns: a traced chord's distance from the branch, and more
 
 
-@kept_jit
-def _meet_program(surface: Surface, contour: Contour, lanes):
+@cached_jit
+def _meet_program(surface: Surface, condition: LoadingCondition, lanes):
     """States on the contour and on planes: lanes (7, n) hold a start u, a row (NaN asks for a volume) and its target.
 
     Gives u, V, z, C, tangent (3), error at fixed λa, (E/E_EB)²/q at the apex, and the size of Newton's last move.
@@ -65,7 +65,7 @@ def _meet_program(surface: Surface, contour: Contour, lanes):
         def equations(x):
             a, p, q, v = state(x)
             last = jnp.where(by_volume, v, row @ jnp.stack([a, p, q])) - target
-            return jnp.stack([contour.residual(p, v, q), last])
+            return jnp.stack([condition.residual(p, v, q), last])
 
         def step(_, known):
             x, _ = known
@@ -80,7 +80,7 @@ def _meet_program(surface: Surface, contour: Contour, lanes):
         a, p, q, v = state(x)
         z, c = surface.at_load_fraction(x[0], x[1], ("height", "charge_per_voltage"))
         slopes = jax.jacfwd(state)(x)  # of (λa, p, q, V) by (λa, t)
-        by_p, by_v, by_q = contour.slopes(v)
+        by_p, by_v, by_q = condition.slopes(v)
         of_stretch, of_load = by_p * slopes[1] + by_v * slopes[3] + by_q * slopes[2]
         tangent = slopes[:3] @ jnp.stack([-of_load, of_stretch]) / SCALE
         tangent = tangent / jnp.linalg.norm(tangent)
@@ -99,7 +99,7 @@ def _meet_program(surface: Surface, contour: Contour, lanes):
 
 @dataclasses.dataclass(frozen=True)
 class OnSurface:
-    """The engine that finds states on a surface: the same `polish` as `Shooting`, to which it leaves what it cannot do.
+    """The engine that finds states on a surface: the same `corrected_points` as `Shooting`, to which it leaves what it cannot do.
 
     `alone` it leaves nothing to shooting: such lanes have ok = False.
 
@@ -107,7 +107,7 @@ class OnSurface:
     """
 
     surface: Surface
-    contour: Contour
+    condition: LoadingCondition
     alone: bool = False
 
     @property
@@ -123,13 +123,13 @@ class OnSurface:
     @property
     def shooting(self) -> Shooting:
         """The engine for what the surface does not hold."""
-        return Shooting(self.membrane, self.contour)
+        return Shooting(self.membrane, self.condition)
 
-    def meet(self, u, rows, targets, *, tolerance=1e-9, reach=1.0) -> Points:
-        """`polish` by the surface alone: lanes it does not hold to the tolerance have ok = False."""
+    def correct(self, u, rows, targets, *, tolerance=1e-9, reach=1.0) -> Points:
+        """`corrected_points` by the surface alone: lanes it does not hold to the tolerance have ok = False."""
         u, rows, targets = np.asarray(u, float), np.asarray(rows, float), np.asarray(targets, float)
         packed = np.concatenate([u, rows.T, targets[None]])
-        (found,) = run_chunks(lambda part: [_meet_program(self.surface, self.contour, part)], packed)
+        (found,) = run_chunks(lambda part: [_meet_program(self.surface, self.condition, part)], packed)
         error = np.maximum(np.nan_to_num(found[9], nan=np.inf), LEAST_ESTIMATE)
         away = np.linalg.norm((found[:3] - u).T / SCALE, axis=1)
         with np.errstate(invalid="ignore"):
@@ -141,15 +141,15 @@ class OnSurface:
             *(unknown, found[10], found[6:9].T.copy(), index, error, ok),
         )
 
-    def polish(self, u, rows, targets, *, tolerance=1e-9, reach=1.0, refine=False) -> Points:
-        """States near `u` on the loading's contour with rows·u = targets; see `equations.polish`."""
+    def corrected_points(self, u, rows, targets, *, tolerance=1e-9, reach=1.0, refine=False) -> Points:
+        """States near `u` on the loading's contour with rows·u = targets; see `equations.corrected_points`."""
         u, rows, targets = np.asarray(u, float), np.asarray(rows, float), np.asarray(targets, float)
-        found = self.meet(u, rows, targets, tolerance=tolerance, reach=reach)
+        found = self.correct(u, rows, targets, tolerance=tolerance, reach=reach)
         lost = np.flatnonzero(~found.ok)
         if self.alone or not len(lost):
             return found
         options = {"tolerance": tolerance, "reach": reach, "refine": np.broadcast_to(refine, u.shape[1:])[lost]}
-        shot = self.shooting.polish(u[:, lost], rows[lost], targets[lost], **options)
+        shot = self.shooting.corrected_points(u[:, lost], rows[lost], targets[lost], **options)
         kept = np.flatnonzero(found.ok)
         return Points.join([found.take(kept), shot]).take(np.argsort(np.concatenate([kept, lost])))
 
@@ -166,12 +166,12 @@ class OnSurface:
             points, hoop=points.hoop.copy(), field=points.field.copy(), index=points.index.copy()
         )
         level = difficulty(locking_stretch(self.membrane), points.u[0], load_fraction(self.membrane, points.u))
-        for k, ladder in enumerate(LADDERS):
+        for k, ladder in enumerate(GRIDS):
             which = todo[level[todo] == k]
             if len(which):
                 values = run_chunks(lambda part, n=ladder[1]: value_program(self.membrane, part, n), points.u[:, which])
                 points.hoop[which], points.field[which] = values[4:6]
-        control = points.tangent[:, self.contour.control]
+        control = points.tangent[:, self.condition.control]
         rising = control > 0
         run = np.concatenate([[0], np.cumsum(rising[1:] != rising[:-1])])
         runs = [todo[run[todo] == k] for k in np.unique(run[todo])]
@@ -187,7 +187,7 @@ class OnSurface:
     def _shoot(self, points: Points, which: np.ndarray) -> Points:
         """The points `which` by shooting, on planes across the branch."""
         rows = points.tangent[which] / SCALE
-        return self.shooting.polish(points.u[:, which], rows, np.einsum("ij,ji->i", rows, points.u[:, which]))
+        return self.shooting.corrected_points(points.u[:, which], rows, np.einsum("ij,ji->i", rows, points.u[:, which]))
 
 
 @functools.lru_cache(maxsize=16)
@@ -220,7 +220,7 @@ def _longest_run(good: np.ndarray) -> np.ndarray:
 def surface_lines(solver: OnSurface) -> list[tuple[np.ndarray, np.ndarray]]:
     """Every contour inside the surface's domain: exact points u (n, 3) in order, and unit tangents in scaled unknowns."""
     apex, load, p, v, limit = _grid_of(ById(solver.surface))
-    value = np.ma.masked_invalid(solver.contour.residual(p, v, load * limit[:, None]))
+    value = np.ma.masked_invalid(solver.condition.residual(p, v, load * limit[:, None]))
     rows, columns = np.arange(len(apex)), np.arange(len(load))
     found = []
     for line in contourpy.contour_generator(columns, rows, value, name="serial").lines(0.0):
@@ -235,7 +235,7 @@ def surface_lines(solver: OnSurface) -> list[tuple[np.ndarray, np.ndarray]]:
         way = np.gradient(u / SCALE[:, None], axis=1)
         normal = (way / np.linalg.norm(way, axis=0)).T
         rows_ = normal / SCALE
-        points = solver.meet(u, rows_, np.einsum("ij,ji->i", rows_, u), tolerance=1e-6, reach=2.0)
+        points = solver.correct(u, rows_, np.einsum("ij,ji->i", rows_, u), tolerance=1e-6, reach=2.0)
         good = _longest_run(points.ok)
         if len(good) < 3:
             continue

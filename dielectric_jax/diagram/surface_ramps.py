@@ -14,13 +14,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..model import Chamber, ConstantPressure, Contour, FoldAhead, Outcome, locking_stretch, regimes_of, threads
-from ..numerics import check_positive, kept_jit
+from ..model import (
+    Chamber,
+    ConstantPressure,
+    FoldAhead,
+    LoadingCondition,
+    Outcome,
+    locking_stretch,
+    regimes_of,
+    threads,
+)
+from ..numerics import cached_jit, check_positive
 from ..surface import ROWS, ById, Conditions, Rows, Surface, crossings, rows_of
 from .landings import Landing, folds_ahead, landings
 from .row_points import LEVEL, ContourOnRows, Events, first_place
-from .row_ramp import polish_program, ramp_program, snap_program
-from .scene_batch import Crowd
+from .row_ramp import corrector_program, ramp_program, snap_program
+from .scene_batch import SceneBatch
 
 __all__ = [
     "Curves",
@@ -29,7 +38,7 @@ __all__ = [
     "chamber_curves",
     "chamber_ramps",
     "filling_volumes",
-    "loading_columns",
+    "loading_arrays",
     "pressure_curves",
     "pressure_ramps",
 ]
@@ -118,7 +127,7 @@ def _start(rows: Rows, values, others, target, order: int):
     near = (here >= before) & (here >= after) & (here + 1.5 * over + _FLAT * jnp.abs(here) >= target)
     present = any_ & (reached > 0) & ~jnp.any(near & (jnp.arange(1, ROWS - 1) < reached))
     whole = ContourOnRows(rows, values, others, jnp.asarray(0), jnp.asarray(ROWS - 1))
-    place, _, other, _ = whole.meet(jnp.maximum(reached - 1, 0), LEVEL, target)
+    place, _, other, _ = whole.correct(jnp.maximum(reached - 1, 0), LEVEL, target)
 
     def on_surface(apex):
         return jnp.stack(rows.surface.at_load_fraction(apex, 0.0, ("volume", "pressure")[::order]))
@@ -160,7 +169,7 @@ def _crossing_program(kind: str):
         return jax.tree.leaves(start), jax.tree.leaves(conditions), (q, conditions.pressure(v), v, found, again, above)
 
     crossings_of.__name__ = f"crossings_{kind}"
-    return kept_jit(crossings_of)
+    return cached_jit(crossings_of)
 
 
 _CROSSINGS = {kind: _crossing_program(kind) for kind in ("isothermal", "polytropic", "pressure")}
@@ -186,7 +195,7 @@ def _ramps_of_crossings(rows: Rows, start, conditions, crossed, kind: str):
         some = rough[i : i + _SOME]
         which = np.pad(some, (0, _SOME - len(some)), mode="edge")
         own = jax.tree.map(lambda v, which=which: np.asarray(v)[which], conditions)
-        told[some] = np.asarray(polish_program(rows.surface, own, told[which]))[: len(some)]
+        told[some] = np.asarray(corrector_program(rows.surface, own, told[which]))[: len(some)]
     vague = worst() > _LARGEST_ERROR
     told[vague], snaps[vague], outcome[vague] = np.nan, 0, int(Outcome.unresolved)
     return told, *marks, snaps, outcome, reach
@@ -202,11 +211,11 @@ def first_folds_on(surface: Surface, given: dict) -> np.ndarray:
 
     `given` names the columns as the arguments of `chamber_ramps`, or the pressure.
     """
-    columns, kind = _loadings(surface, given)
-    return _run(_snaps_chunk, surface, columns, kind, 0)[0]
+    loadings, kind = _loadings(surface, given)
+    return _run(_snaps_chunk, surface, loadings, kind, 0)[0]
 
 
-@kept_jit
+@cached_jit
 def _filling_program(rows: Rows, pressure):
     start = jax.vmap(lambda p: _start(rows, rows.flat_pressure, rows.flat_volume, p, -1))(pressure)
     return jnp.where(start.seen(), start.volume, jnp.nan)
@@ -232,13 +241,13 @@ def curves_and_ramps(surface: Surface, given: dict) -> tuple[Curves, Ramps]:
 
     `given` names the columns as the arguments of `chamber_ramps`, or the pressure.
     """
-    columns, kind = _loadings(surface, given)
-    q, p, v, again, *told = _run(_glance_chunk, surface, columns, kind, 0, _FEW)
+    loadings, kind = _loadings(surface, given)
+    q, p, v, again, *told = _run(_glance_chunk, surface, loadings, kind, 0, _FEW)
     curves = Curves(np.asarray(rows_of(ById(surface)).apex_stretch), q, p, v, again)
-    return curves, _answer(surface, columns, kind, told, exact=True)
+    return curves, _answer(surface, loadings, kind, told, exact=True)
 
 
-def _answer(surface: Surface, columns: list[np.ndarray], kind: str, told: list, *, exact: bool = False) -> Ramps:
+def _answer(surface: Surface, loadings: list[np.ndarray], kind: str, told: list, *, exact: bool = False) -> Ramps:
     """The ramps that the program found on the surface, with what lies beyond it: landings, and folds further on.
 
     With `exact` landings beyond the surface are located; else their numbers are NaN and only the outcome says that they
@@ -247,14 +256,14 @@ def _answer(surface: Surface, columns: list[np.ndarray], kind: str, told: list, 
     events, folds, zeros, breaks, snaps, outcome, reach = told
     shape = outcome.shape
     flat = [np.reshape(v, (-1, *v.shape[len(shape) :])) for v in (events, folds, snaps, outcome)]
-    ahead = _decide_beyond(surface, [v.ravel() for v in columns], kind, *flat, exact=exact).reshape(shape)
+    ahead = _decide_beyond(surface, [v.ravel() for v in loadings], kind, *flat, exact=exact).reshape(shape)
     events, folds, snaps, outcome = (
         np.reshape(v, w.shape) for v, w in zip(flat, (events, folds, snaps, outcome), strict=True)
     )
     return ramps_of(surface.breakdown_load, events, folds, zeros, breaks, snaps, outcome, reach, ahead)
 
 
-def _decide_beyond(surface: Surface, columns, kind: str, events, folds, snaps, outcome, *, exact: bool) -> np.ndarray:
+def _decide_beyond(surface: Surface, loadings, kind: str, events, folds, snaps, outcome, *, exact: bool) -> np.ndarray:
     """Settles in place the ramps whose end lies beyond the surface; returns their `FoldAhead`."""
     ahead = np.full(len(outcome), int(FoldAhead.unknown))
     broken = events[:, 0, 5]
@@ -263,13 +272,13 @@ def _decide_beyond(surface: Surface, columns, kind: str, events, folds, snaps, o
     first = outcome == Outcome.breakdown_on_branch
     open_ = np.flatnonzero(first & (snaps == 0) & (ahead == FoldAhead.unknown))
     if len(open_):
-        contour = _contour(columns, kind, events, open_)
-        ahead[open_] = folds_ahead(surface.membrane, contour, broken[open_], events[open_, 3, 5])
+        condition = _loading_conditions(loadings, kind, events, open_)
+        ahead[open_] = folds_ahead(surface.membrane, condition, broken[open_], events[open_, 3, 5])
     lost = np.flatnonzero(outcome == Outcome.no_landing)
     if len(lost):
         last = np.maximum(snaps[lost], 1)
-        crowd = _crowd(surface, _contour(columns, kind, events, lost))
-        found = landings(crowd, surface.membrane, np.arange(len(lost)), events[lost, :, last], exact=exact)
+        scene_batch = _scene_batch(surface, _loading_conditions(loadings, kind, events, lost))
+        found = landings(scene_batch, surface.membrane, np.arange(len(lost)), events[lost, :, last], exact=exact)
         outcome[lost[found.kind == Landing.broken]] = Outcome.breakdown_in_snap
         events[lost, :, 2 + last] = found.state
         undecided = lost[(found.kind == Landing.unknown) | (found.kind == Landing.unbroken)]
@@ -277,13 +286,13 @@ def _decide_beyond(surface: Surface, columns, kind: str, events, folds, snaps, o
     return ahead
 
 
-def _contour(columns, kind: str, events, which: np.ndarray) -> Contour:
+def _loading_conditions(loadings, kind: str, events, which: np.ndarray) -> LoadingCondition:
     """The conditions of loadings, as columns."""
-    own = [v[which] for v in columns]
+    own = [v[which] for v in loadings]
     example = ConstantPressure(1.0) if kind == "pressure" else Chamber(volume=1.0, initial_volume=1.0)
     loading = jax.tree.unflatten(jax.tree.structure(example), own)
     filling = () if kind == "pressure" else (events[which, 1, 0], own[1])
-    return jax.tree.map(lambda v: np.broadcast_to(np.asarray(v, float), len(which)), loading.contour(*filling))
+    return jax.tree.map(lambda v: np.broadcast_to(np.asarray(v, float), len(which)), loading.condition(*filling))
 
 
 def landings_on(surface: Surface, given: dict, folds: np.ndarray) -> np.ndarray:
@@ -293,32 +302,32 @@ def landings_on(surface: Surface, given: dict, folds: np.ndarray) -> np.ndarray:
     """
     count = len(folds)
     given = {name: np.broadcast_to(np.asarray(v, float), count) for name, v in given.items()}
-    columns, kind = _loadings(surface, given)
+    loadings, kind = _loadings(surface, given)
     starts = np.moveaxis(first_folds_on(surface, given)[:, :1], 1, 2)  # (n, values, events)
     # of a fold the pressure does not matter, and the volume only where a landing lies below it
     known = np.column_stack([folds[:, 0], np.zeros((count, 2)), folds[:, 1], np.zeros(count)])
     which = np.flatnonzero(np.isfinite(folds).all(axis=1) & np.isfinite(starts[:, 1, 0]))
     guess = np.full((count, 2), np.nan)
     if len(which):
-        crowd = _crowd(surface, _contour(columns, kind, starts, which))
-        found = landings(crowd, surface.membrane, np.arange(len(which)), known[which], exact=False)
+        scene_batch = _scene_batch(surface, _loading_conditions(loadings, kind, starts, which))
+        found = landings(scene_batch, surface.membrane, np.arange(len(which)), known[which], exact=False)
         guess[which] = np.where(np.isfinite(found.state[:, :2]), found.state[:, :2], found.guess)
     return guess
 
 
-def _crowd(surface: Surface, contour: Contour) -> Crowd:
-    count = len(contour.pressure_weight)
+def _scene_batch(surface: Surface, condition: LoadingCondition) -> SceneBatch:
+    count = len(condition.pressure_weight)
     membrane = jax.tree.map(lambda v: np.full(count, float(v)), surface.membrane)
-    return Crowd(membrane, contour, np.full(count, locking_stretch(surface.membrane)))
+    return SceneBatch(membrane, condition, np.full(count, locking_stretch(surface.membrane)))
 
 
-def _run(chunk, surface: Surface, columns: list[np.ndarray], kind: str, axis: int, some: int = _CHUNK):
+def _run(chunk, surface: Surface, loadings: list[np.ndarray], kind: str, axis: int, some: int = _CHUNK):
     """`chunk` on many loadings, some at a time on all cores: a list of arrays with the shape of the loadings first.
 
     `axis` is where the results of `chunk` count the loadings, 0 or 1 of two.
     """
-    shape, rows = columns[0].shape, rows_of(ById(surface))
-    flat = [values.ravel() for values in columns]
+    shape, rows = loadings[0].shape, rows_of(ById(surface))
+    flat = [values.ravel() for values in loadings]
     count = flat[0].size
 
     def work(i):
@@ -339,29 +348,29 @@ def _run(chunk, surface: Surface, columns: list[np.ndarray], kind: str, axis: in
 
 def _loadings(surface, given: dict):
     """The columns of chambers or pressures by name, checked, and the kind of program they need."""
-    return (_columns(surface, given), "pressure") if "pressure" in given else _chambers(surface, **given)
+    return (_checked_loadings(surface, given), "pressure") if "pressure" in given else _chambers(surface, **given)
 
 
 def _chambers(surface, chamber_volume, initial_volume, atmospheric_pressure, polytropic_exponent):
     """The columns of chambers, checked, and the kind of program they need."""
     given = {"chamber_volume": chamber_volume, "initial_volume": initial_volume}
     given |= {"atmospheric_pressure": atmospheric_pressure, "polytropic_exponent": polytropic_exponent}
-    columns = _columns(surface, given)
-    return columns, "isothermal" if np.all(columns[3] == 1) else "polytropic"
+    loadings = _checked_loadings(surface, given)
+    return loadings, "isothermal" if np.all(loadings[3] == 1) else "polytropic"
 
 
-def _columns(surface, given: dict) -> list[np.ndarray]:
+def _checked_loadings(surface, given: dict) -> list[np.ndarray]:
     if not isinstance(surface, Surface):
         raise ValueError(f"`surface` must be a Surface, but is a {type(surface).__name__}.")
     surface.membrane.check_breaks_at_apex()
-    columns = dict(zip(given, np.broadcast_arrays(*(np.asarray(v, float) for v in given.values())), strict=True))
-    for name, values in columns.items():
+    loadings = dict(zip(given, np.broadcast_arrays(*(np.asarray(v, float) for v in given.values())), strict=True))
+    for name, values in loadings.items():
         if not values.size:
             raise ValueError(f"`{name}` must hold at least one loading, but is empty.")
         wrong = ~(np.isfinite(values) & ((values > 0) | ((values == 0) & (name == "atmospheric_pressure"))))
         if wrong.any():
             check_positive(name, float(values[wrong].flat[0]), zero=name == "atmospheric_pressure")
-    return list(columns.values())
+    return list(loadings.values())
 
 
 def ramps_of(breakdown_load: Callable, told, folds, zeros, breaks, snaps, outcome, reach, ahead) -> Ramps:
@@ -422,8 +431,8 @@ def chamber_ramps(
     16.1219
     """
     given = chamber_volume, initial_volume, atmospheric_pressure, polytropic_exponent
-    columns, kind = _chambers(surface, *given)
-    return _answer(surface, columns, kind, _run(_ramps_chunk, surface, columns, kind, 0))
+    loadings, kind = _chambers(surface, *given)
+    return _answer(surface, loadings, kind, _run(_ramps_chunk, surface, loadings, kind, 0))
 
 
 def pressure_ramps(surface: Surface, pressure) -> Ramps:
@@ -434,8 +443,8 @@ def pressure_ramps(surface: Surface, pressure) -> Ramps:
     >>> [Outcome(int(o)).name for o in ramps.outcome]
     ['breakdown_in_snap', 'breakdown_in_snap']
     """
-    columns = _columns(surface, {"pressure": pressure})
-    return _answer(surface, columns, "pressure", _run(_ramps_chunk, surface, columns, "pressure", 0))
+    loadings = _checked_loadings(surface, {"pressure": pressure})
+    return _answer(surface, loadings, "pressure", _run(_ramps_chunk, surface, loadings, "pressure", 0))
 
 
 def chamber_curves(
@@ -460,11 +469,11 @@ def pressure_curves(surface: Surface, pressure) -> Curves:
     >>> bool(np.nanmax(abs(curves.pressure[1] - 1.82)) < 1e-12)
     True
     """
-    return _curves(surface, _columns(surface, {"pressure": pressure}), "pressure")
+    return _curves(surface, _checked_loadings(surface, {"pressure": pressure}), "pressure")
 
 
-def _curves(surface: Surface, columns: list[np.ndarray], kind: str) -> Curves:
-    q, p, v, again = _run(_curves_chunk, surface, columns, kind, 1)
+def _curves(surface: Surface, loadings: list[np.ndarray], kind: str) -> Curves:
+    q, p, v, again = _run(_curves_chunk, surface, loadings, kind, 1)
     return Curves(np.asarray(rows_of(ById(surface)).apex_stretch), q, p, v, again)
 
 
@@ -477,11 +486,11 @@ def filling_volumes(surface: Surface, pressure) -> np.ndarray:
     >>> round(float(filling_volumes(Surface.build(Membrane()), 1.886612680245)), 9)
     2.42
     """
-    (volume,) = _run(_filling_chunk, surface, _columns(surface, {"initial_pressure": pressure}), "pressure", 0)
+    (volume,) = _run(_filling_chunk, surface, _checked_loadings(surface, {"initial_pressure": pressure}), "pressure", 0)
     return volume
 
 
-def loading_columns(loading, surface: Surface) -> dict:
+def loading_arrays(loading, surface: Surface) -> dict:
     """The columns of a loading under the names of `chamber_ramps`, or the pressure."""
     if isinstance(loading, ConstantPressure):
         return {"pressure": loading.pressure}

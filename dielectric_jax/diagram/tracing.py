@@ -3,8 +3,8 @@
 import jax.numpy as jnp
 import numpy as np
 
-from ..model import SCALE, ConstantVoltage, Membrane, compile_ahead, largest_load, rim_with_columns, threads
-from ..numerics import Code, Problem, Steps, Trace, kept_jit, trace
+from ..model import SCALE, ConstantVoltage, Membrane, compile_ahead, largest_load, rim_with_sensitivities, threads
+from ..numerics import Code, Problem, Steps, Trace, cached_jit, trace
 
 __all__ = ["run_trace", "run_traces", "warm_up"]
 
@@ -15,8 +15,8 @@ _STEPS = Steps(
 # grids of the continuation, and the load fractions up to which each is used, near lock-up (an inner layer forms) and
 # elsewhere (towards the cone); the last is the last resort
 _TRACE_STEPS = (10.0, 24.0, 48.0, 160.0)
-_TOPS = ((0.7, 0.85), (0.82, 0.97), (2.0, 2.0), (2.0, 2.0))
-_TOP_NEAR_LOCK_UP = 0.94
+_LOAD_LIMITS = ((0.7, 0.85), (0.82, 0.97), (2.0, 2.0), (2.0, 2.0))
+_LARGEST_LOAD_NEAR_LOCK_UP = 0.94
 _FLAT = 0.01  # of λa − λ0
 _RESTART = 0.1  # how far a finer grid may move a point of a coarser one
 _MOST_PARTS = 12  # of a trace, each as long as a compiled trace can be
@@ -32,21 +32,23 @@ _CODES = (
 )
 
 
-def branch_problem(material, prestretch, contour, limits, accuracy, tops, lengths, steps: Steps = _STEPS) -> Problem:
+def branch_problem(
+    material, prestretch, condition, limits, accuracy, load_limits, lengths, steps: Steps = _STEPS
+) -> Problem:
     """A loading's branches as a continuation problem in u = (λa, p, q).
 
-    `limits` is (λa, λa, t, t, λa from which it is near lock-up), `accuracy` the steps of the grid, `tops` the loads
+    `limits` is (λa, λa, t, t, λa from which it is near lock-up), `accuracy` the steps of the grid, `load_limits` the loads
     fractions up to which it is used near lock-up and elsewhere.
     """
 
     def linearise(u, args):
-        material, prestretch, contour = args
-        lag, volume, columns = rim_with_columns(material, u, accuracy)
-        by_p, by_v, by_q = contour.slopes(volume)
-        rim = columns[:, 0].at[0].add(1.0)
-        condition = by_v * columns[:, 1] + jnp.stack([jnp.zeros_like(by_p), by_p, by_q])
-        value = jnp.stack([lag - (prestretch - u[0]), contour.residual(u[1], volume, u[2])])
-        return value, jnp.stack([rim, condition])
+        material, prestretch, condition = args
+        stretch_change, volume, sensitivities = rim_with_sensitivities(material, u, accuracy)
+        by_p, by_v, by_q = condition.slopes(volume)
+        rim = sensitivities[:, 0].at[0].add(1.0)
+        along = by_v * sensitivities[:, 1] + jnp.stack([jnp.zeros_like(by_p), by_p, by_q])
+        value = jnp.stack([stretch_change - (prestretch - u[0]), condition.residual(u[1], volume, u[2])])
+        return value, jnp.stack([rim, along])
 
     def residual(u, args):
         return linearise(u, args)[0]
@@ -54,10 +56,10 @@ def branch_problem(material, prestretch, contour, limits, accuracy, tops, length
     def margins(u, args):
         fraction = u[2] / largest_load(args[0], u[0])
         # where the grid of this accuracy ends: towards lock-up at a high load, and towards the cone
-        locking, elsewhere = tops
+        locking, elsewhere = load_limits
         resolved = jnp.where(u[0] > limits[4], locking, elsewhere) - fraction
         # towards lock-up no grid resolves the membrane much beyond the scanned loads
-        top = jnp.where(u[0] < limits[4], limits[3], jnp.minimum(limits[3], _TOP_NEAR_LOCK_UP))
+        top = jnp.where(u[0] < limits[4], limits[3], jnp.minimum(limits[3], _LARGEST_LOAD_NEAR_LOCK_UP))
         box = [u[0] - limits[0], limits[1] - u[0], fraction - limits[2], limits[3] - fraction, top - fraction]
         return jnp.stack([*box, resolved])
 
@@ -66,7 +68,7 @@ def branch_problem(material, prestretch, contour, limits, accuracy, tops, length
         jnp.asarray(SCALE),
         margins,
         _CODES,
-        args=(material, prestretch, contour),
+        args=(material, prestretch, condition),
         steps=steps,
         linearise=linearise,
         monitors=lambda u, args: jnp.log(jnp.maximum(1 - u[2] / largest_load(args[0], u[0]), 1e-6)),
@@ -74,22 +76,22 @@ def branch_problem(material, prestretch, contour, limits, accuracy, tops, length
     )
 
 
-@kept_jit
-def _trace_program(material, prestretch, contour, limits, seed, direction, active, accuracy, tops, lengths):
-    problem = branch_problem(material, prestretch, contour, limits, accuracy, tops, lengths)
+@cached_jit
+def _trace_program(material, prestretch, condition, limits, seed, direction, active, accuracy, load_limits, lengths):
+    problem = branch_problem(material, prestretch, condition, limits, accuracy, load_limits, lengths)
     return tuple(trace(problem, seed, direction, active))
 
 
-def run_traces(membrane, contour, limits, seeds, directions, **options):
+def run_traces(membrane, condition, limits, seeds, directions, **options):
     """Traces from many seeds, each on a core of its own while there are any: a list of (points, tangents, code)."""
 
     def one(seed, direction):
-        return run_trace(membrane, contour, limits, seed, direction, **options)
+        return run_trace(membrane, condition, limits, seed, direction, **options)
 
     return list(threads().map(one, seeds, directions))
 
 
-def run_trace(membrane, contour, limits, seed, direction, *, level=0, largest=_STEPS.largest):
+def run_trace(membrane, condition, limits, seed, direction, *, level=0, largest=_STEPS.largest):
     """One trace, from the grid `level` on (−1 is the finest): points, unit tangents in scaled unknowns, code.
 
     `largest` bounds the step; a shorter one tells branches apart that nearly meet.
@@ -97,11 +99,11 @@ def run_trace(membrane, contour, limits, seed, direction, *, level=0, largest=_S
     level %= len(_TRACE_STEPS)
     start = np.asarray(seed), np.asarray(direction)
     given = level, largest, _STEPS.largest, _MOST_PARTS
-    points, tangents, code = _run_trace(membrane, contour, limits, *start, *given)
+    points, tangents, code = _run_trace(membrane, condition, limits, *start, *given)
     return points, tangents / SCALE, code
 
 
-def _run_trace(membrane, contour, limits, seed, direction, level, largest, farthest, parts):
+def _run_trace(membrane, condition, limits, seed, direction, level, largest, farthest, parts):
     """One trace; where it leaves the region its grid resolves it goes on from there on the finer grid.
 
     Where it is as long as a compiled trace can be it goes on with another, of `parts` in all.
@@ -109,9 +111,9 @@ def _run_trace(membrane, contour, limits, seed, direction, level, largest, farth
     # at the flat end everything shrinks with λa − λ0; elsewhere a shorter step only meets the noise about a cone
     flat = seed[0] - float(membrane.prestretch) < _FLAT
     lengths = np.array([_STEPS.smallest * (1e-2 if flat else 1.0), largest, farthest])
-    grid = _TRACE_STEPS[level], np.array(_TOPS[level]), lengths
+    grid = _TRACE_STEPS[level], np.array(_LOAD_LIMITS[level]), lengths
     lanes = limits, seed, direction, True, *grid
-    done = Trace(*_trace_program(membrane.material, membrane.prestretch, contour, *lanes))
+    done = Trace(*_trace_program(membrane.material, membrane.prestretch, condition, *lanes))
     count, code = int(done.count), Code(int(done.code))
     points, tangents = np.asarray(done.points)[:count], np.asarray(done.tangents)[:count]
     long = code is Code.too_many_points and parts > 1
@@ -119,10 +121,10 @@ def _run_trace(membrane, contour, limits, seed, direction, level, largest, farth
     if not (long or lost):
         return points, tangents, code
     if count <= 1:  # it never began
-        return _run_trace(membrane, contour, limits, seed, direction, level + 1, largest, farthest, parts)
+        return _run_trace(membrane, condition, limits, seed, direction, level + 1, largest, farthest, parts)
     # on from the last point inside
     further = level + lost, largest, _RESTART, parts - long
-    finer = _run_trace(membrane, contour, limits, points[-2], tangents[-2], *further)
+    finer = _run_trace(membrane, condition, limits, points[-2], tangents[-2], *further)
     if len(finer[0]) < 2:
         return points[:-1], tangents[:-1], code if long else Code.step_too_small
     return np.concatenate([points[:-2], finer[0]]), np.concatenate([tangents[:-2], finer[1]]), finer[2]
@@ -130,11 +132,11 @@ def _run_trace(membrane, contour, limits, seed, direction, level, largest, farth
 
 def warm_up(membrane: Membrane) -> None:
     """Starts compiling what a diagram of this kind of membrane needs, all programs side by side."""
-    contour = ConstantVoltage(0.0).contour()
+    condition = ConstantVoltage(0.0).condition()
     nothing = np.zeros(3)
 
     def trace_nothing():
-        limits, grid = np.ones(5), (_TRACE_STEPS[0], np.array(_TOPS[0]), np.ones(3))
-        _trace_program(membrane.material, membrane.prestretch, contour, limits, nothing, nothing, False, *grid)
+        limits, grid = np.ones(5), (_TRACE_STEPS[0], np.array(_LOAD_LIMITS[0]), np.ones(3))
+        _trace_program(membrane.material, membrane.prestretch, condition, limits, nothing, nothing, False, *grid)
 
     compile_ahead(membrane, (trace_nothing,))

@@ -1,16 +1,16 @@
 from .chart import LOAD_PANELS, Scan, cached_scan, explicit_map, map_nodes, stretch_shares
 from .corrector import (
     CONTRACTION,
-    LADDERS,
+    GRIDS,
     LEAST_ESTIMATE,
     SCALE,
     Points,
     Shooting,
+    corrected_points,
     difficulty,
     estimated_error,
     load_fraction,
     locking_stretch,
-    polish,
 )
 from .energies import require_float64
 from .loading import (
@@ -18,7 +18,7 @@ from .loading import (
     ChargeControl,
     ConstantPressure,
     ConstantVoltage,
-    Contour,
+    LoadingCondition,
     PrescribedVolume,
     control_of,
     mechanical,
@@ -53,15 +53,14 @@ from .profiles import energy, profile, scaling_defect
 from .programs import CHUNK, compile_ahead, cores, jacobian_program, run_chunks, threads, value_program
 from .records import Branch, Event, Ramp, SpecialPoint, State, events_table, plain, points_table, voltage_of
 from .scene import SCANNED_LOAD, Scene, Window, describe, pair
-from .shooting import COLUMNS, MOST_STEPS, eighth_order_step, integrate_membrane, rim_with_columns, shoot
+from .shooting import MOST_STEPS, UNKNOWNS, eighth_order_step, integrate_membrane, rim_with_sensitivities, shoot
 from .stability import Stability, index_of, stability_of
 from .units import VACUUM_PERMITTIVITY, VHB_4910, Units
 
 __all__ = [
     "CHUNK",
-    "COLUMNS",
     "CONTRACTION",
-    "LADDERS",
+    "GRIDS",
     "LEAST_ESTIMATE",
     "LOAD_PANELS",
     "MOST_STEPS",
@@ -70,6 +69,7 @@ __all__ = [
     "SCALE",
     "SCANNED_LOAD",
     "SNAPPING",
+    "UNKNOWNS",
     "VACUUM_PERMITTIVITY",
     "VHB_4910",
     "AbstractBreakdown",
@@ -83,7 +83,6 @@ __all__ = [
     "ConstantBreakdown",
     "ConstantPressure",
     "ConstantVoltage",
-    "Contour",
     "CustomBreakdown",
     "CustomMaterial",
     "CustomPermittivity",
@@ -91,6 +90,7 @@ __all__ = [
     "Event",
     "FoldAhead",
     "Gent",
+    "LoadingCondition",
     "Membrane",
     "MooneyRivlin",
     "NeoHookean",
@@ -118,6 +118,7 @@ __all__ = [
     "compile_ahead",
     "control_of",
     "cores",
+    "corrected_points",
     "describe",
     "difficulty",
     "eighth_order_step",
@@ -142,11 +143,10 @@ __all__ = [
     "place_of",
     "plain",
     "points_table",
-    "polish",
     "profile",
     "regimes_of",
     "require_float64",
-    "rim_with_columns",
+    "rim_with_sensitivities",
     "run_chunks",
     "scaling_defect",
     "shoot",

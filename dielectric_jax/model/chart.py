@@ -18,8 +18,8 @@ import numpy as np
 import scipy.linalg
 from scipy.interpolate import make_interp_spline
 
-from ..numerics import kept_jit, sine_cosine
-from .loading import Contour
+from ..numerics import cached_jit, sine_cosine
+from .loading import LoadingCondition
 from .materials import AbstractMaterial, capacitance, is_concrete, largest_load, stresses
 from .membrane import Membrane, apex_series, slopes
 from .programs import threads
@@ -107,7 +107,7 @@ def _map_program(outputs: bool):
     def explicit_map(material, apex_stretch, voltage_squared, prestretch, steps):
         return _map(material, apex_stretch, voltage_squared, prestretch, steps, outputs)
 
-    return kept_jit(explicit_map)
+    return cached_jit(explicit_map)
 
 
 _MAPS = {outputs: _map_program(outputs) for outputs in (False, True)}
@@ -128,10 +128,10 @@ class Scan:
         """q = t q_max(λa) on the grid."""
         return self.load_fraction[None] * self.largest_load[:, None]
 
-    def contours(self, contour: Contour) -> list[np.ndarray]:
+    def contours(self, condition: LoadingCondition) -> list[np.ndarray]:
         """All contours of a loading's condition: arrays (vertices, 3) of (λa, p, q), one a connected branch."""
         rows, columns = np.arange(len(self.apex_stretch)), np.arange(len(self.load_fraction))
-        value = contour.residual(self.pressure, self.volume, self.voltage_squared())
+        value = condition.residual(self.pressure, self.volume, self.voltage_squared())
         value = np.ma.masked_invalid(value)
         lines = contourpy.contour_generator(columns, rows, value, name="serial").lines(0.0)
         found = []
@@ -164,7 +164,7 @@ class Scan:
 _CHUNK = 640
 
 
-@kept_jit
+@cached_jit
 def _map_chunk(material, apex_stretch, load, prestretch, steps):
     return explicit_map(material, apex_stretch, load * largest_load(material, apex_stretch), prestretch, steps)
 

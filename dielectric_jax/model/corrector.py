@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .loading import Contour
+from .loading import LoadingCondition
 from .materials import largest_load
 from .membrane import Membrane
 from .programs import (
@@ -29,12 +29,12 @@ from .programs import (
 from .scene import SCANNED_LOAD
 from .stability import control_rate, index_of
 
-__all__ = ["Points", "Shooting", "load_fraction", "locking_stretch", "polish"]
+__all__ = ["Points", "Shooting", "corrected_points", "load_fraction", "locking_stretch"]
 
 SCALE = np.array([1.0, 0.2, 0.02])  # of (λa, p, q)
 # steps: of Newton, then of the residual; where an inner layer forms (a high load near lock-up, or near the cone) Newton
 # needs more, and more again where the layer is thin
-LADDERS = ((16.0, 32.0, 64.0, 128.0), (24.0, 48.0, 96.0, 192.0, 320.0), (80.0, 160.0, 320.0))
+GRIDS = ((16.0, 32.0, 64.0, 128.0), (24.0, 48.0, 96.0, 192.0, 320.0), (80.0, 160.0, 320.0))
 _REFINED = (48.0, 144.0, 240.0)  # steps of a refined tangent
 _NEAR_FOLD = (
     1e-3  # component of the tangent along the control below which a tangent is refined: the index turns on its sign
@@ -94,9 +94,9 @@ class Points:
             }
         )
 
-    def place(self, contour: Contour) -> np.ndarray:
+    def place(self, condition: LoadingCondition) -> np.ndarray:
         """By what states of a loading are told apart: the volume, or the apex stretch where the volume is held."""
-        return self.u[0] if float(contour.volume_weight) != 0 else self.volume
+        return self.u[0] if float(condition.volume_weight) != 0 else self.volume
 
     @staticmethod
     def join(parts: list["Points"]) -> "Points":
@@ -109,16 +109,16 @@ class Points:
         )
 
 
-def _assemble(u, lag, volume, columns, rim, contour):
+def _assemble(u, stretch_change, volume, sensitivities, rim, condition):
     """Residual (lanes, 2) and Jacobian (lanes, 2, 3) of rim condition and loading."""
-    by_p, by_v, by_q = contour.slopes(volume)
-    residual = np.stack([lag - (rim - u[0]), contour.residual(u[1], volume, u[2])], axis=1)
-    of_lag = columns[:, 0].copy()
-    of_lag[0] += 1.0
-    of_condition = by_v * columns[:, 1]
+    by_p, by_v, by_q = condition.slopes(volume)
+    residual = np.stack([stretch_change - (rim - u[0]), condition.residual(u[1], volume, u[2])], axis=1)
+    of_stretch = sensitivities[:, 0].copy()
+    of_stretch[0] += 1.0
+    of_condition = by_v * sensitivities[:, 1]
     of_condition[1] += by_p
     of_condition[2] += by_q
-    return residual, np.stack([of_lag.T, of_condition.T], axis=1)
+    return residual, np.stack([of_stretch.T, of_condition.T], axis=1)
 
 
 def _relative(move: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -142,7 +142,7 @@ def tangents(jacobian: np.ndarray) -> np.ndarray:
         return null / np.linalg.norm(null, axis=1, keepdims=True)
 
 
-def estimated_error(u, volume, jacobian, columns, change, change_of_volume, by_v, rim, chord: typing.Any = 0.0):
+def estimated_error(u, volume, jacobian, sensitivities, change, change_of_volume, by_v, rim, chord: typing.Any = 0.0):
     """Estimate of the largest relative error of p, V and q at fixed λa, (lanes,), never below `LEAST_ESTIMATE`.
 
     Of states u (3, lanes) from what the residuals (lanes, 2) and V changed by when the steps were halved last, the Jacobian
@@ -156,7 +156,7 @@ def estimated_error(u, volume, jacobian, columns, change, change_of_volume, by_v
         determinant = abs(jacobian[:, 0, 1] * jacobian[:, 1, 2] - jacobian[:, 0, 2] * jacobian[:, 1, 1])
         of_p = (of_condition[:, 2] * rim_off + of_rim[:, 2] * condition_off) / determinant
         of_q = (of_condition[:, 1] * rim_off + of_rim[:, 1] * condition_off) / determinant
-        of_volume = abs(columns[1, 1]) * of_p + abs(columns[2, 1]) * of_q
+        of_volume = abs(sensitivities[1, 1]) * of_p + abs(sensitivities[2, 1]) * of_q
         of_volume = of_volume + _ROUNDING * abs(volume) + change_of_volume / SAFETY
         error = xp.stack([of_p, of_volume, of_q]) / xp.maximum(abs(xp.stack([u[1], volume, u[2]])), 1e-3)
         error = error.max(axis=0) + chord
@@ -169,7 +169,7 @@ def locking_stretch(membrane: Membrane) -> float:
 
 
 def difficulty(locks_from, apex_stretch: np.ndarray, load_fraction: np.ndarray) -> np.ndarray:
-    """Which ladder of grids resolves the membrane, an index of `LADDERS` for each lane; see `locking_stretch`."""
+    """Which ladder of grids resolves the membrane, an index of `GRIDS` for each lane; see `locking_stretch`."""
     locking = apex_stretch > locks_from
     return (
         (locking & (load_fraction > 0.7)).astype(int)
@@ -183,9 +183,9 @@ def load_fraction(membrane: Membrane, u: np.ndarray) -> np.ndarray:
     return u[2] / largest_load(membrane.material, np.nan_to_num(u[0], nan=2.0))
 
 
-def polish(
+def corrected_points(
     membrane: Membrane,
-    contour: Contour,
+    condition: LoadingCondition,
     u,
     rows,
     targets,
@@ -207,19 +207,19 @@ def polish(
 
     def solve(which, k):
         parts = u[:, which], rows[which], targets[which], tolerance, reach, k, refined[which]
-        return _polish(membrane, contour, *parts)
+        return _corrected_points(membrane, condition, *parts)
 
-    todo = [np.flatnonzero(level == k) for k in range(len(LADDERS))]
+    todo = [np.flatnonzero(level == k) for k in range(len(GRIDS))]
     order, done = [], []
     while any(len(which) for which in todo):
         groups = [(which, k) for k, which in enumerate(todo) if len(which)]
         with concurrent.futures.ThreadPoolExecutor(len(groups)) as pool:
             solved = list(pool.map(solve, *zip(*groups, strict=True)))
-        todo = [np.zeros(0, int) for _ in LADDERS]
+        todo = [np.zeros(0, int) for _ in GRIDS]
         for (which, k), points in zip(groups, solved, strict=True):
             # what a grid does not resolve goes on to the next; the finer two end at the same grid
             failed = ~points.ok | ((points.error > tolerance) & (k == 0))
-            if k + 1 < len(LADDERS) and failed.any():
+            if k + 1 < len(GRIDS) and failed.any():
                 todo[k + 1] = which[failed]
                 which, points = which[~failed], points.take(np.flatnonzero(~failed))
             order.append(which)
@@ -229,23 +229,23 @@ def polish(
 
 @dataclasses.dataclass(frozen=True)
 class Shooting:
-    """The engine that finds states by shooting: `polish` for one membrane and one loading."""
+    """The engine that finds states by shooting: `corrected_points` for one membrane and one loading."""
 
     membrane: Membrane
-    contour: Contour
+    condition: LoadingCondition
 
-    def polish(self, u, rows, targets, **options) -> Points:
-        """States near `u` on the loading's contour with rows·u = targets; see `polish`."""
-        return polish(self.membrane, self.contour, u, rows, targets, **options)
+    def corrected_points(self, u, rows, targets, **options) -> Points:
+        """States near `u` on the loading's contour with rows·u = targets; see `corrected_points`."""
+        return corrected_points(self.membrane, self.condition, u, rows, targets, **options)
 
     def complete(self, points: Points) -> Points:
         """The points with everything a diagram shows: here they are."""
         return points
 
 
-def _polish(membrane, contour, u, rows, targets, tolerance, reach, level, refine) -> Points:
-    """`polish` of lanes that share one ladder of grids."""
-    ladder = LADDERS[level]
+def _corrected_points(membrane, condition, u, rows, targets, tolerance, reach, level, refine) -> Points:
+    """`corrected_points` of lanes that share one ladder of grids."""
+    ladder = GRIDS[level]
     coarse = ladder[0]
     u = np.array(u, float)
     lanes = u.shape[1]
@@ -253,15 +253,15 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, level, refine
     start = u.copy()
     by_volume = ~np.isfinite(rows).all(axis=1)
 
-    def system(part, lag, volume, columns):
+    def system(part, stretch_change, volume, sensitivities):
         at = u[:, part]
-        residual, jacobian = _assemble(at, lag, volume, columns, rim, contour)
-        last_row = np.where(by_volume[part, None], columns[:, 1].T, rows[part])
+        residual, jacobian = _assemble(at, stretch_change, volume, sensitivities, rim, condition)
+        last_row = np.where(by_volume[part, None], sensitivities[:, 1].T, rows[part])
         last = np.where(by_volume[part], volume, np.einsum("ij,ji->i", np.nan_to_num(rows[part]), at)) - targets[part]
         return np.concatenate([residual, last[:, None]], axis=1), np.concatenate([jacobian, last_row[:, None]], axis=1)
 
     matrix = np.full((lanes, 3, 3), np.nan)
-    columns = np.full((3, 2, lanes), np.nan)
+    sensitivities = np.full((3, 2, lanes), np.nan)
     zeros = np.zeros(lanes, int)
     volume = np.full(lanes, np.nan)
     active = np.arange(lanes)
@@ -272,10 +272,10 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, level, refine
         for _ in range(tries):
             if not len(active):
                 break
-            lag, volume[active], columns[..., active], zeros[active] = run_chunks(
+            stretch_change, volume[active], sensitivities[..., active], zeros[active] = run_chunks(
                 lambda part: jacobian_program(membrane.material, part, steps), u[:, active]
             )
-            right, matrix[active] = system(active, lag, volume[active], columns[..., active])
+            right, matrix[active] = system(active, stretch_change, volume[active], sensitivities[..., active])
             move = -_solve(matrix[active], right)
             length = np.linalg.norm(move / SCALE, axis=1)
             with np.errstate(all="ignore"):
@@ -286,7 +286,7 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, level, refine
                 move = move * np.where(share > 0, share, 1.0)[:, None]
                 length = np.where(share < 1, np.maximum(length, 1e-3), length)
             u[:, active] += move.T
-            volume[active] += np.einsum("il,li->l", columns[:, 1][:, active], move)
+            volume[active] += np.einsum("il,li->l", sensitivities[:, 1][:, active], move)
             before, size[active] = size[active], length
             drift = np.linalg.norm((u[:, active] - start[:, active]).T / SCALE, axis=1)
             with np.errstate(all="ignore"):
@@ -314,14 +314,14 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, level, refine
         working = active
         for round_ in range(6):
             program = careful_program if adaptive else value_program
-            lag, vol, *rest = run_chunks(lambda part, run=program: run(membrane, part, steps), u[:, working])
-            right, _ = system(working, lag, vol, columns[..., working])
+            stretch_change, vol, *rest = run_chunks(lambda part, run=program: run(membrane, part, steps), u[:, working])
+            right, _ = system(working, stretch_change, vol, sensitivities[..., working])
             move = -_solve(matrix[working], right)
             begin = np.isnan(first[working, 0])
             first[working[begin]] = right[begin, :2]
             change_of_volume[working[begin]] = np.abs(vol - result[0][working])[begin]
             u[:, working] += move.T
-            vol = vol + np.einsum("il,li->l", columns[:, 1][:, working], move)
+            vol = vol + np.einsum("il,li->l", sensitivities[:, 1][:, working], move)
             for store, values in zip([*result, admissible, elliptic], [vol, *rest], strict=False):
                 store[working] = values
             # what the next chord step would move is smaller by the error of the Jacobian
@@ -338,9 +338,9 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, level, refine
         return first[active]
 
     def estimate_errors(active):
-        state = u[:, active], result[0][active], matrix[active, :2], columns[..., active]
+        state = u[:, active], result[0][active], matrix[active, :2], sensitivities[..., active]
         changes = discretisation[active], change_of_volume[active]
-        rounding = contour.slopes(result[0][active])[1], rim
+        rounding = condition.slopes(result[0][active])[1], rim
         estimate[active] = estimated_error(*state, *changes, *rounding, chord[active])
 
     active = np.flatnonzero(settled)
@@ -362,11 +362,11 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, level, refine
             if exponent != ADAPTIVE[0]:
                 estimate_errors(active)
                 active = active[~(estimate[active] <= tolerance)]
-    control = contour.control
+    control = condition.control
 
     def points() -> Points:
         tangent, charge = tangents(matrix[:, :2]), (u[2], result[2], charge_slopes) if control == 3 else None
-        index = index_of(zeros, matrix, columns, result[0], contour, charge)
+        index = index_of(zeros, matrix, sensitivities, result[0], condition, charge)
         drift = np.linalg.norm((u - start).T / SCALE, axis=1)
         ok = settled & np.isfinite(u).all(axis=0) & np.isfinite(result[0]) & (drift < 2 * reach) & admissible
         known = np.where(elliptic, index, -1)
@@ -384,9 +384,9 @@ def _polish(membrane, contour, u, rows, targets, tolerance, reach, level, refine
     which = np.flatnonzero(settled & refine)
     if len(which):
         steps = _REFINED[level]
-        lag, vol, columns[..., which], zeros[which] = run_chunks(
+        stretch_change, vol, sensitivities[..., which], zeros[which] = run_chunks(
             lambda part: jacobian_program(membrane.material, part, steps), u[:, which]
         )
-        _, matrix[which] = system(which, lag, vol, columns[..., which])
+        _, matrix[which] = system(which, stretch_change, vol, sensitivities[..., which])
         measure_charge(which, steps)
     return points()

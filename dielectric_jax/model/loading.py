@@ -1,6 +1,6 @@
 """How pressure, volume and electrostatic load are tied together: a loading draws one contour on the chart.
 
-Every loading becomes values of one `Contour`, so that one compiled program serves them all.
+Every loading becomes values of one `LoadingCondition`, so that one compiled program serves them all.
 """
 
 import abc
@@ -20,7 +20,7 @@ __all__ = [
     "ChargeControl",
     "ConstantPressure",
     "ConstantVoltage",
-    "Contour",
+    "LoadingCondition",
     "PrescribedVolume",
     "control_of",
     "mechanical",
@@ -32,7 +32,7 @@ def _namespace(*values):
     return np if all(isinstance(v, (np.ndarray, np.generic, float, int)) for v in values) else jnp
 
 
-class Contour(eqx.Module):
+class LoadingCondition(eqx.Module):
     """The condition a (p − p_gas(V)) + b (q − q*) + c (V − V*) = 0 with the gas of a closed chamber, eq. (24).
 
     (p_gas + p_atm)(V + V_C)ⁿ = (p_0 + p_atm)(V_0 + V_C)ⁿ; an exponent n = 0 is a gas of constant pressure. Charge
@@ -89,16 +89,16 @@ class Contour(eqx.Module):
 
 
 class AbstractLoading(eqx.Module):
-    """A loading; `contour` gives its values, with the filling of a chamber already known on both sides."""
+    """A loading; `condition` gives its values, with the filling of a chamber already known on both sides."""
 
     @abc.abstractmethod
-    def contour(self, initial_pressure=None, initial_volume=None) -> Contour:
+    def condition(self, initial_pressure=None, initial_volume=None) -> LoadingCondition:
         """The values of the loading's condition; a chamber needs its filling (p_0, V_0)."""
 
 
-def _contour(**values) -> Contour:
-    names = [f.name for f in dataclasses.fields(Contour)]
-    return Contour(**{n: as_scalar(values.get(n, 0.0 if n != "chamber_volume" else 1.0)) for n in names})
+def _contour(**values) -> LoadingCondition:
+    names = [f.name for f in dataclasses.fields(LoadingCondition)]
+    return LoadingCondition(**{n: as_scalar(values.get(n, 0.0 if n != "chamber_volume" else 1.0)) for n in names})
 
 
 class ConstantVoltage(AbstractLoading):
@@ -110,7 +110,7 @@ class ConstantVoltage(AbstractLoading):
         if is_concrete(self.voltage):
             check_positive("voltage", float(self.voltage), zero=True)
 
-    def contour(self, initial_pressure=None, initial_volume=None):
+    def condition(self, initial_pressure=None, initial_volume=None):
         return _contour(load_weight=10.0, load=self.voltage**2)
 
 
@@ -123,7 +123,7 @@ class ConstantPressure(AbstractLoading):
         if is_concrete(self.pressure):
             check_positive("pressure", float(self.pressure), zero=True)
 
-    def contour(self, initial_pressure=None, initial_volume=None):
+    def condition(self, initial_pressure=None, initial_volume=None):
         return _contour(pressure_weight=1.0, initial_pressure=self.pressure)
 
 
@@ -153,7 +153,7 @@ class Chamber(AbstractLoading):
             if is_concrete(value):
                 check_positive("chamber_volume" if name == "volume" else name, float(value), zero=zero)
 
-    def contour(self, initial_pressure=None, initial_volume=None):
+    def condition(self, initial_pressure=None, initial_volume=None):
         return _contour(
             pressure_weight=1.0,
             chamber_volume=self.volume,
@@ -176,7 +176,7 @@ class PrescribedVolume(AbstractLoading):
         if is_concrete(self.volume):
             check_positive("volume", float(self.volume), zero=True)
 
-    def contour(self, initial_pressure=None, initial_volume=None):
+    def condition(self, initial_pressure=None, initial_volume=None):
         return _contour(volume_weight=1 / self.volume, volume=self.volume)
 
 
@@ -199,8 +199,8 @@ class ChargeControl(AbstractLoading):
                 f"{self.loading!r}."
             )
 
-    def contour(self, initial_pressure=None, initial_volume=None):
-        return dataclasses.replace(self.loading.contour(initial_pressure, initial_volume), charge=as_scalar(1.0))
+    def condition(self, initial_pressure=None, initial_volume=None):
+        return dataclasses.replace(self.loading.condition(initial_pressure, initial_volume), charge=as_scalar(1.0))
 
 
 def mechanical(loading: AbstractLoading) -> AbstractLoading:

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from ..numerics import kept_jit
+from ..numerics import cached_jit
 from .materials import capacitance, energy_on, field_on, stresses
 from .membrane import Membrane, Profile
 from .records import State
@@ -13,7 +13,7 @@ from .shooting import integrate_membrane
 __all__ = ["energy", "profile", "scaling_defect"]
 
 
-@kept_jit
+@cached_jit
 def _profile_program(membrane, apex, pressure, q, steps):
     shot = integrate_membrane(membrane.material, apex, pressure, q, steps, outputs=True, trail="profile", heights=True)
     times, values, along = shot.trail

@@ -10,33 +10,33 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..numerics import kept_jit
+from ..numerics import cached_jit
 from .materials import ArrudaBoyce, Gent, NeoHookean, stresses
 from .membrane import Membrane, field_ratio_squared, slopes
-from .shooting import COLUMNS, eighth_order_step, integrate_membrane
+from .shooting import UNKNOWNS, eighth_order_step, integrate_membrane
 
 __all__ = ["careful_program", "charge_program", "compile_ahead", "jacobian_program", "run_chunks", "value_program"]
 
 CHUNK = 32  # lanes of one call; one compiled program serves every count of points
 
 
-@kept_jit
+@cached_jit
 def jacobian_program(material, u, steps):
     """lag, V, their columns by (λa, p, q), and the number of zeros of ∂λ2/∂λa in 0 < R < 1."""
     apex, p, q = u
-    shot = integrate_membrane(material, apex, p, q, steps, columns=COLUMNS, trail="sensitivity")
+    shot = integrate_membrane(material, apex, p, q, steps, sensitivities=UNKNOWNS, trail="sensitivity")
     times, sensitivity = shot.trail
     change = jnp.isfinite(times[1:])[:, None] & (sensitivity[1:] * sensitivity[:-1] < 0)
-    columns = jnp.stack([jnp.stack(shot.columns[c]) for c in COLUMNS])
-    return shot.lag, shot.volume, columns, jnp.sum(change, axis=0)
+    sensitivities = jnp.stack([jnp.stack(shot.sensitivities[c]) for c in UNKNOWNS])
+    return shot.stretch_change, shot.volume, sensitivities, jnp.sum(change, axis=0)
 
 
-@kept_jit
+@cached_jit
 def charge_program(material, u, steps):
     """C = Q/Φ and its derivatives (3, lanes) by (λa, p, q)."""
     apex, p, q = u
-    shot = integrate_membrane(material, apex, p, q, steps, columns=COLUMNS, outputs=True)
-    return shot.charge, jnp.stack([shot.columns[c][2] for c in COLUMNS])
+    shot = integrate_membrane(material, apex, p, q, steps, sensitivities=UNKNOWNS, outputs=True)
+    return shot.charge, jnp.stack([shot.sensitivities[c][2] for c in UNKNOWNS])
 
 
 def _least_inside(values, rates):
@@ -67,15 +67,15 @@ def _least_inside(values, rates):
 _BLOCK = 32  # steps of a trail that are searched together; only as many blocks as there are steps
 
 
-@kept_jit
+@cached_jit
 def careful_program(membrane, u, exponent):
     """lag, V, height and C = Q/Φ by adaptive steps."""
     apex, p, q = u
     shot = integrate_membrane(membrane.material, apex, p, q, exponent, outputs=True, adaptive=True)
-    return shot.lag, shot.volume, shot.height, shot.charge
+    return shot.stretch_change, shot.volume, shot.height, shot.charge
 
 
-@kept_jit
+@cached_jit
 def value_program(membrane, u, steps):
     """lag, V, height, C = Q/Φ, least σ2 and largest (E/E_EB)²/q along the membrane, stretches admissible, and elliptic."""
     apex, p, q = u
@@ -141,7 +141,7 @@ def value_program(membrane, u, steps):
         y = jnp.take_along_axis(values, node[None, None], axis=0)[0]
         y = eighth_order_step(rates, tau, jnp.where(inner, x / steps, 0.0), y)
         least[k] = jnp.where(inner, function(apex + y[0], apex + y[1]), least[k])
-    return shot.lag, shot.volume, shot.height, shot.charge, least[0], -least[1], admissible, elliptic
+    return shot.stretch_change, shot.volume, shot.height, shot.charge, least[0], -least[1], admissible, elliptic
 
 
 def cores() -> int:
@@ -165,7 +165,7 @@ _MOST_KINDS = 16  # of membranes whose compiling is remembered
 
 
 def compile_ahead(membrane: Membrane, more: tuple[Callable, ...] = ()) -> None:
-    """Starts compiling the programs of this kind of membrane side by side, and `more`; `polish` waits for its own."""
+    """Starts compiling the programs of this kind of membrane side by side, and `more`; `corrected_points` waits for its own."""
     key = jax.tree.structure(membrane)
     if key not in _compiling:
         u = np.tile(np.array([[float(membrane.prestretch) + 0.1], [0.1], [0.0]]), (1, CHUNK))

@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..numerics import kept_jit, sine_cosine, softplus
+from ..numerics import cached_jit, sine_cosine, softplus
 from .materials import AbstractMaterial, capacitance, is_concrete, stresses
 from .membrane import apex_series, slopes
 
@@ -33,7 +33,7 @@ _START = 4e-4  # R at which the apex series hands over, in units of A; the serie
 _WIDTH = 0.12  # w above, measured: 32 steps of Dopri8 leave 8e-11 for t < 0.5, 48 leave 3e-12
 MOST_STEPS = 320
 _FEW = 6  # states that are written one by one
-COLUMNS = ("apex_stretch", "pressure", "voltage_squared")
+UNKNOWNS = ("apex_stretch", "pressure", "voltage_squared")
 
 
 class EvenSteps(dfx.ConstantStepSize):
@@ -172,23 +172,23 @@ class Along(typing.NamedTuple):
 class Shot(typing.NamedTuple):
     """What a shot returns; every entry has the shape of a lane, columns a leading axis of the asked directions.
 
-    `lag` is λ2(1) − λa without cancellation, `height` z(1), `charge` C = Q/Φ. `columns` maps a direction to
+    `stretch_change` is λ2(1) − λa without cancellation, `height` z(1), `charge` C = Q/Φ. `sensitivities` maps a direction to
     (∂lag, ∂volume), with `outputs` (∂lag, ∂volume, ∂C). `trail` holds what was recorded after every step: times τ (inf once done) and ∂λ2/∂λa; or times,
     raw values, and the `Along` that reads them.
     """
 
-    lag: Array
+    stretch_change: Array
     volume: Array
     height: typing.Any
     charge: typing.Any
-    columns: dict
+    sensitivities: dict
     trail: typing.Any
 
 
 class Rim(typing.NamedTuple):
     """λ2(1) − λa and V, each of the shape of a lane."""
 
-    lag: Array
+    stretch_change: Array
     volume: Array
 
 
@@ -199,7 +199,7 @@ def integrate_membrane(
     q: typing.Any,
     steps: typing.Any,
     *,
-    columns: tuple = (),
+    sensitivities: tuple = (),
     outputs: bool = False,
     trail: str | None = None,
     heights: bool = False,
@@ -208,7 +208,7 @@ def integrate_membrane(
 ) -> Shot:
     """One integration from apex to rim at R = 1.
 
-    `columns` lists the wanted derivatives: names of `COLUMNS`, or the index of a leaf of `material`. `outputs` adds
+    `sensitivities` lists the wanted derivatives: names of `UNKNOWNS`, or the index of a leaf of `material`. `outputs` adds
     height and charge to the state and to the derivatives, `trail` the values after every step: "sensitivity", "profile" (with z as its last entry where `heights` is asked for), the whole "states", or "all" with the columns. `start` is where the apex series hands over, as a share of A.
     """
     inputs = jnp.broadcast_arrays(*(jnp.asarray(v, float) for v in (apex_stretch, pressure, q)))
@@ -245,12 +245,12 @@ def integrate_membrane(
 
     theta = (leaves, list(inputs))
     states = 6 if outputs else 4
-    integrated = [c for c in columns if c != "pressure"]
+    integrated = [c for c in sensitivities if c != "pressure"]
 
     def along(function, y, tangent, column):
         """JVP of function(y, theta) in the column's direction; only its own entry of theta moves."""
         if isinstance(column, str):
-            k = COLUMNS.index(column)
+            k = UNKNOWNS.index(column)
 
             def moved(y, v):
                 return function(y, (leaves, [*theta[1][:k], v, *theta[1][k + 1 :]]))
@@ -300,7 +300,7 @@ def integrate_membrane(
     for i, column in enumerate(integrated):
         at = states * (i + 1)
         found[column] = tuple(end[at + j] for j in wanted)
-    if "pressure" in columns:
+    if "pressure" in sensitivities:
         rate = rates(jnp.ones(shape), [end[i] for i in range(states)], theta)
         # scaling: λ2 depends on pR alone, V p³ and C p² likewise; at p = 0 the limits are 0 and V/p, which no lane asks for
         powers = {1: 0, 3: 3, 5: 2}
@@ -334,7 +334,7 @@ def shoot(material: AbstractMaterial, apex_stretch, pressure, voltage_squared, *
     return _shoot(inputs, steps)
 
 
-@kept_jit
+@cached_jit
 def _shoot_program(inputs, steps):
     return tuple(_shoot(inputs, steps))
 
@@ -343,14 +343,14 @@ def _shoot_program(inputs, steps):
 def _shoot(inputs, steps):
     material, apex_stretch, pressure, q = inputs
     shot = integrate_membrane(material, apex_stretch, pressure, q, steps)
-    return Rim(shot.lag, shot.volume)
+    return Rim(shot.stretch_change, shot.volume)
 
 
 @_shoot.def_jvp
 def _(primals, tangents):
     (inputs, steps), (moves, _) = primals, tangents
     wanted, weights = [], []
-    for column, move in zip(COLUMNS, moves[1:], strict=True):
+    for column, move in zip(UNKNOWNS, moves[1:], strict=True):
         if move is not None:
             wanted.append(column)
             weights.append(move)
@@ -359,31 +359,31 @@ def _(primals, tangents):
             wanted.append(leaf)
             weights.append(move)
     material, apex_stretch, pressure, q = inputs
-    shot = integrate_membrane(material, apex_stretch, pressure, q, steps, columns=tuple(wanted))
-    lag, volume = (
-        jnp.asarray(sum(shot.columns[c][i] * w for c, w in zip(wanted, weights, strict=True))) for i in (0, 1)
+    shot = integrate_membrane(material, apex_stretch, pressure, q, steps, sensitivities=tuple(wanted))
+    stretch_change, volume = (
+        jnp.asarray(sum(shot.sensitivities[c][i] * w for c, w in zip(wanted, weights, strict=True))) for i in (0, 1)
     )
-    return Rim(shot.lag, shot.volume), Rim(lag, volume)
+    return Rim(shot.stretch_change, shot.volume), Rim(stretch_change, volume)
 
 
 @jax.jit
-def _rim_with_columns(material, apex_stretch, pressure, q, steps):
-    shot = integrate_membrane(material, apex_stretch, pressure, q, steps, columns=COLUMNS)
-    return shot.lag, shot.volume, jnp.stack([jnp.stack(shot.columns[c]) for c in COLUMNS])
+def _rim_with_sensitivities(material, apex_stretch, pressure, q, steps):
+    shot = integrate_membrane(material, apex_stretch, pressure, q, steps, sensitivities=UNKNOWNS)
+    return shot.stretch_change, shot.volume, jnp.stack([jnp.stack(shot.sensitivities[c]) for c in UNKNOWNS])
 
 
 @jax.custom_batching.custom_vmap
-def rim_with_columns(material, point, steps):
+def rim_with_sensitivities(material, point, steps):
     """λ2(1) − λa, V and their derivatives (3, 2) at point (3,) = (λa, p, q); under vmap one loop serves all lanes."""
-    return _rim_with_columns(material, *point, steps)
+    return _rim_with_sensitivities(material, *point, steps)
 
 
-@rim_with_columns.def_vmap
+@rim_with_sensitivities.def_vmap
 def _(lanes, batched, material, point, steps):
     in_material, in_point, in_steps = batched
     if in_steps:
         raise NotImplementedError("`steps` must be the same for all lanes of a batch.")
     del in_material  # leaves of shape () or (lanes,): the integration is elementwise
     rows = point.T if in_point else jnp.broadcast_to(point[:, None], (3, lanes))
-    lag, volume, columns = _rim_with_columns(material, *rows, steps)
-    return (lag, volume, jnp.moveaxis(columns, -1, 0)), (True, True, True)
+    stretch_change, volume, sensitivities = _rim_with_sensitivities(material, *rows, steps)
+    return (stretch_change, volume, jnp.moveaxis(sensitivities, -1, 0)), (True, True, True)

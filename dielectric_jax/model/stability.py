@@ -15,14 +15,14 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.optimize import minimize_scalar
 
-from ..numerics import kept_jit
+from ..numerics import cached_jit
 from .loading import Chamber, ChargeControl, PrescribedVolume, mechanical
 from .materials import stresses
 from .membrane import Membrane
 from .programs import run_chunks
 from .records import State
 from .scene import Scene
-from .shooting import COLUMNS, integrate_membrane
+from .shooting import UNKNOWNS, integrate_membrane
 
 __all__ = ["Stability", "control_rate", "index_of", "index_under", "stability_of"]
 
@@ -33,36 +33,36 @@ _STATE_DOUBT = 100.0  # times the error of the state, relative to the terms of a
 _EQUILIBRIUM = 1e-5  # largest defect at the rim of a state that is one, relative to λa, or to p or q in these
 
 
-def index_of(zeros, jacobian, columns, volume, contour, charge=None):
+def index_of(zeros, jacobian, sensitivities, volume, condition, charge=None):
     """Morse index under a contour's loading, (lanes,): zeros of ∂λ2/∂λa corrected for what the loading adds.
 
-    `jacobian` (lanes, 2, 3) and `columns` (3, 2, lanes) are those of a shot; `charge` is q, C and its gradient (3, lanes)
+    `jacobian` (lanes, 2, 3) and `sensitivities` (3, 2, lanes) are those of a shot; `charge` is q, C and its gradient (3, lanes)
     where the charge is controlled.
     """
-    by_p, by_v, _ = contour.slopes(volume)
-    index = index_under(zeros, jacobian[:, 0, 0], columns, by_p, by_v)
+    by_p, by_v, _ = condition.slopes(volume)
+    index = index_under(zeros, jacobian[:, 0, 0], sensitivities, by_p, by_v)
     if charge is not None:
         return _under_charge(index, np.cross(jacobian[:, 0], jacobian[:, 1]).T, *charge)
     return index
 
 
-def index_under(zeros, of_rim, columns, by_p, by_v):
+def index_under(zeros, of_rim, sensitivities, by_p, by_v):
     """Morse index under voltage and the condition by_p dp + by_v dV = 0; by_v = 0 is prescribed pressure.
 
     With a = ∂λ2(1)/∂λa (`of_rim`) and b = ∂λ2(1)/∂p, ∂p/∂λa|q = −a/b, so by_p + by_v dV/dp|q is, but for a positive factor,
     (by_p a + by_v (V_p a − V_a b))/a; where it is negative the loading takes one from the index. The parity of the zeros
     is a's sign.
     """
-    a, b = of_rim, columns[1, 0]
+    a, b = of_rim, sensitivities[1, 0]
     zeros = zeros + ((zeros % 2 == 1) != (a < 0))  # a zero that a step at the rim hides
     with np.errstate(all="ignore"):
-        gain = _gain(a, b, columns, by_p, by_v) / a
+        gain = _gain(a, b, sensitivities, by_p, by_v) / a
     xp = jnp if isinstance(a, jax.Array) else np
     return xp.where((xp.asarray(by_v) != 0) & (gain < 0), zeros - 1, zeros)
 
 
-def _gain(a, b, columns, by_p, by_v):
-    return by_p * a + by_v * (columns[1, 1] * a - columns[0, 1] * b)
+def _gain(a, b, sensitivities, by_p, by_v):
+    return by_p * a + by_v * (sensitivities[1, 1] * a - sensitivities[0, 1] * b)
 
 
 def control_rate(q, along, charge, gradient):
@@ -110,24 +110,24 @@ class Stability:
         return None if self.index is None else self.index == 0
 
 
-@kept_jit
+@cached_jit
 def _survey_program(material, u, steps):
     """What stability needs of lanes u (3, lanes).
 
     lag, V, C, columns (3, 3, lanes), zeros; R and σ2 after every step, padded with NaN; least σ1 and ∂s1/∂λ1.
     """
     apex, p, q = u
-    shot = integrate_membrane(material, apex, p, q, steps, columns=COLUMNS, outputs=True, trail="all")
+    shot = integrate_membrane(material, apex, p, q, steps, sensitivities=UNKNOWNS, outputs=True, trail="all")
     times, values, along = shot.trail
     done = jnp.isfinite(times)[:, None]
     radius, _, l1, l2, _ = along.rows(times, jnp.where(done[..., None], values[:, :3], 0.0))
     s1, s2, s11, _ = stresses(material, l1, l2, q)
     sensitivity = 1 + values[:, 6 + 1]  # of the first column, λa
     change = done[1:] & (sensitivity[1:] * sensitivity[:-1] < 0)
-    columns = jnp.stack([jnp.stack(shot.columns[c]) for c in COLUMNS])
+    sensitivities = jnp.stack([jnp.stack(shot.sensitivities[c]) for c in UNKNOWNS])
     least = [jnp.min(jnp.where(done, v, jnp.inf), axis=0) for v in (l1 * s1, s11)]
     fields = [jnp.where(done, v, jnp.nan) for v in (radius, l2 * s2)]
-    return shot.lag, shot.volume, shot.charge, columns, jnp.sum(change, axis=0), *fields, *least
+    return shot.stretch_change, shot.volume, shot.charge, sensitivities, jnp.sum(change, axis=0), *fields, *least
 
 
 def _least_hoop(radius: np.ndarray, hoop: np.ndarray) -> tuple[float, float]:
@@ -196,7 +196,7 @@ def _weights(what, states: list[State]):
     if isinstance(loading, PrescribedVolume):
         by_p, by_v = by_v, by_p
     elif isinstance(loading, Chamber):
-        fillings = [loading.contour(s.pressure, s.volume) for s in states]
+        fillings = [loading.condition(s.pressure, s.volume) for s in states]
         by_v = np.array([float(c.gas_stiffness(s.volume)) for c, s in zip(fillings, states, strict=True)])
     return by_p, by_v
 
@@ -220,14 +220,14 @@ def judge(what: Scene | Membrane, states: list[State], surveys: list) -> list[St
     given = q, *_weights(what, states), charged
     (coarse, rough, _), (index, sign, size) = (_index_and_sign(found, *given) for found in surveys)
     error = np.maximum([s.error_estimate for s in states], LEAST_ERROR)
-    lag, _, _, columns, zeros, radius, hoop, tension, modulus = surveys[1]
+    stretch_change, _, _, sensitivities, zeros, radius, hoop, tension, modulus = surveys[1]
     with np.errstate(all="ignore"):
-        defect = np.abs(lag - (float(membrane.prestretch) - apex)) / apex
+        defect = np.abs(stretch_change - (float(membrane.prestretch) - apex)) / apex
         # towards the cone an exact state's shot may end far off, but a small change of its p or q mends that
-        reach = np.maximum(np.abs(columns[1, 0] * pressure), np.abs(columns[2, 0] * q))
+        reach = np.maximum(np.abs(sensitivities[1, 0] * pressure), np.abs(sensitivities[2, 0] * q))
         off = np.minimum(defect, defect * apex / reach)
         # beyond t of about 0.99 a shot may blow up every error: then the grids differ
-        agreed = np.abs(lag - surveys[0][0]) / apex < 0.01 * defect + 0.1 * _EQUILIBRIUM
+        agreed = np.abs(stretch_change - surveys[0][0]) / apex < 0.01 * defect + 0.1 * _EQUILIBRIUM
         doubt = np.maximum(_DOUBT * np.abs(sign - rough), _STATE_DOUBT * error * size)
         near = np.abs(sign) <= doubt
     found = []
@@ -256,20 +256,20 @@ def _index_and_sign(found, q, by_p, by_v, charged: bool):
 
     Where a determinant of fewer constraints vanishes, zeros and corrections change together and the index does not.
     """
-    _, _, charge, columns, zeros = found[:5]
-    rim = columns[:, 0].copy()
+    _, _, charge, sensitivities, zeros = found[:5]
+    rim = sensitivities[:, 0].copy()
     rim[0] += 1.0
-    a, b, pair = rim[0], rim[1], columns[:, :2]
+    a, b, pair = rim[0], rim[1], sensitivities[:, :2]
     index = index_under(zeros, a, pair, by_p, by_v)
     if not charged:
         size = _gain(1 + np.abs(a), -np.abs(b), np.abs(pair), by_p, by_v)
         return index, _gain(a, b, pair, by_p, by_v), size
-    condition = by_v * columns[:, 1]
+    condition = by_v * sensitivities[:, 1]
     condition[1] += by_p
     along = np.cross(rim.T, condition.T).T
-    index = _under_charge(index, along, q, charge, columns[:, 2])
+    index = _under_charge(index, along, q, charge, sensitivities[:, 2])
     one, other = np.abs(rim), np.abs(condition)
     one[0] += 1.0
     most = np.stack([one[i] * other[j] + one[j] * other[i] for i, j in ((1, 2), (2, 0), (0, 1))])
-    size = control_rate(np.abs(q), most, charge, np.abs(columns[:, 2]))
-    return index, control_rate(q, along, charge, columns[:, 2]), size
+    size = control_rate(np.abs(q), most, charge, np.abs(sensitivities[:, 2]))
+    return index, control_rate(q, along, charge, sensitivities[:, 2]), size

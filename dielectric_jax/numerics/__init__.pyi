@@ -1,6 +1,6 @@
 from .cache import cache_folder, enable_compilation_cache, enabled_folder, is_own, make_folder
 from .codes import LARGEST, Code, SceneError, StoreError, WorkersLost, check_between, check_positive, check_whole, shown
-from .compiled import elementwise, kept_jit, of_this_package, source_digest
+from .compiled import cached_jit, elementwise, of_this_package, source_digest
 from .continuation import Problem, Steps, Trace, Walk, advance, begin, trace
 from .elementary import log1p, reciprocal, sine_cosine, softplus
 from .locks import Locked, alone
@@ -20,6 +20,7 @@ __all__ = [
     "alone",
     "begin",
     "cache_folder",
+    "cached_jit",
     "check_between",
     "check_positive",
     "check_whole",
@@ -27,7 +28,6 @@ __all__ = [
     "enable_compilation_cache",
     "enabled_folder",
     "is_own",
-    "kept_jit",
     "log1p",
     "make_folder",
     "of_this_package",

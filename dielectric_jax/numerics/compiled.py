@@ -26,7 +26,7 @@ from jax.experimental import serialize_executable
 
 from .cache import enabled_folder, is_own, make_folder, write_own
 
-__all__ = ["elementwise", "kept_jit", "of_this_package", "source_digest"]
+__all__ = ["cached_jit", "elementwise", "of_this_package", "source_digest"]
 
 # the widest vectors that the processor has; XLA would take half of them on many
 _OPTIONS: typing.Any = {"xla_cpu_prefer_vector_width": 512}
@@ -174,7 +174,7 @@ def _return_memory() -> None:
 _PROGRAMS = Programs()
 
 
-def kept_jit(function: Callable) -> Callable:
+def cached_jit(function: Callable) -> Callable:
     """`jax.jit(function)`, of whose programs the last ones used are kept in memory, and traces in the cache folder.
 
     The folder holds, while the cache is enabled, traces for arguments `of_this_package`. Inside a transformation it is
@@ -207,7 +207,7 @@ def elementwise(function: Callable, *, lanes: int = 512) -> Callable:
     Results are arrays of NumPy, of the common shape of the values, and further axes of the function before it. Inside a
     transformation it is `jax.jit(function)`.
     """
-    plain, program = jax.jit(function), kept_jit(function)
+    plain, program = jax.jit(function), cached_jit(function)
     names = list(inspect.signature(function).parameters)
 
     @functools.wraps(function)

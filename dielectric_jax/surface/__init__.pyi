@@ -1,16 +1,16 @@
 from .family import SurfaceFamily
 from .files import fingerprint
 from .rows import ROWS, Conditions, Rows, crossings, rows_of
-from .surface import ById, SheetState, Surface, check_tolerance, pressure_and_volume
+from .surface import ById, Surface, SurfaceState, check_tolerance, pressure_and_volume
 
 __all__ = [
     "ROWS",
     "ById",
     "Conditions",
     "Rows",
-    "SheetState",
     "Surface",
     "SurfaceFamily",
+    "SurfaceState",
     "check_tolerance",
     "crossings",
     "fingerprint",

@@ -33,10 +33,10 @@ from ..model import (
     slopes,
     stresses,
 )
-from ..numerics import elementwise, kept_jit, sine_cosine
+from ..numerics import cached_jit, elementwise, sine_cosine
 from .elements import NODES, Element, Sampler, Task, coefficients, fresh_places, marks, node_points, read, refine
 
-__all__ = ["QUANTITIES", "build_elements", "columns", "edge_factors", "element", "rim_state", "sheet_states"]
+__all__ = ["QUANTITIES", "build_elements", "columns", "edge_factors", "element", "rim_state", "surface_states"]
 
 QUANTITIES = ("pressure", "volume", "height", "charge_per_voltage", "energy")
 MAP_STEPS = 28.0  # of the explicit map, which only starts the first shots
@@ -63,8 +63,8 @@ def state_rates(material: AbstractMaterial, radius, l1, l2, theta, bends):
     return jnp.stack([*bends, jnp.pi * (radius * l2) ** 2 * rise, rise, ring])
 
 
-@kept_jit
-def _sheet_program(material: AbstractMaterial, u, steps):
+@cached_jit
+def _surface_program(material: AbstractMaterial, u, steps):
     """p, V, z, C, U at (λa, q) from a pressure right to a few digits; u holds (λa, guess of p, q, λ0)."""
     apex, p, q, rim = u
     shot = integrate_membrane(material, apex, p, q, steps, outputs=True, trail="profile")
@@ -85,14 +85,14 @@ def _sheet_program(material: AbstractMaterial, u, steps):
     return *state, jnp.abs(radius - 1)
 
 
-def sheet_states(material: AbstractMaterial, apex, load, rim, guess, steps: float) -> np.ndarray:
+def surface_states(material: AbstractMaterial, apex, load, rim, guess, steps: float) -> np.ndarray:
     """p, V, z, C, U of states (λa, t, λ0), shape (5, n), from guesses of their pressures.
 
     All are arrays of shape (n,), or numbers; NaN where a guess was too far.
     """
     apex, load, rim, guess = np.broadcast_arrays(apex, load, rim, guess)
     u = np.stack([apex, guess, load * largest_load(material, apex), rim])
-    *values, away = run_chunks(lambda part: _sheet_program(material, part, steps), u)
+    *values, away = run_chunks(lambda part: _surface_program(material, part, steps), u)
     return np.where(away < 0.05, np.stack(values), np.nan)
 
 
@@ -142,7 +142,7 @@ class AbstractBuilder(Sampler):
         for n in sorted(set(steps)):
             which = [k for k in range(len(places)) if steps[k] == n]
             x, guess = np.concatenate([places[k] for k in which], 1), np.concatenate([guesses[k] for k in which])
-            found = sheet_states(self.material, x[0], x[1], self.rims(x), guess, n)
+            found = surface_states(self.material, x[0], x[1], self.rims(x), guess, n)
             for k, values in zip(which, np.split(found, len(which), axis=1), strict=True):
                 out[k] = values
         return out

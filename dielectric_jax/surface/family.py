@@ -29,7 +29,7 @@ from ..model import (
     threads,
     window_end,
 )
-from ..numerics import check_between, elementwise, kept_jit
+from ..numerics import cached_jit, check_between, elementwise
 from .build import QUANTITIES, AbstractBuilder, columns, edge_factors, element, logarithms, rim_state, state_rates
 from .elements import (
     NODES,
@@ -50,8 +50,8 @@ from .elements import (
     unit_place,
     used,
 )
-from .files import cached_path, fingerprint, keep, kept_or_none, read_archive, same_fingerprint, write_archive
-from .surface import BOTTOM, SheetState, Surface, arrays_of, bound_of, check_tolerance, top_load, with_charge
+from .files import cached_or_none, cached_path, fingerprint, keep, read_archive, same_fingerprint, write_archive
+from .surface import BOTTOM, Surface, SurfaceState, arrays_of, bound_of, check_tolerance, top_load, with_charge
 
 __all__ = ["SurfaceFamily", "build_trajectory_elements", "prestretch_at", "share_of"]
 
@@ -71,7 +71,7 @@ def prestretch_at(apex, share):
     return apex - share * (apex - 1)
 
 
-@kept_jit
+@cached_jit
 def _trajectory_program(material: AbstractMaterial, u, steps):
     """R (rows, lanes) and λ1 − λa, λ2 − λa, θ, V, z, C (rows, 6, lanes) after every step; and how many rows there are."""
     apex, p, q = u
@@ -81,7 +81,7 @@ def _trajectory_program(material: AbstractMaterial, u, steps):
     return jax.vmap(along.position)(jnp.where(done, times, 1.0))[0], values, jnp.sum(done)
 
 
-@kept_jit
+@cached_jit
 def _states_program(material: AbstractMaterial, u, shares, radius, values, count):
     """p, V, z, C, U (5, shares, lanes) where the trajectories of u = (λa, p, q) pass the shares; NaN beyond their ends."""
     apex, p, q = u
@@ -271,7 +271,7 @@ class SurfaceFamily(eqx.Module):
         low, high = _check_range(prestretch)
         check_tolerance(tolerance, "surface family")
         path = cls.path_of(material, (low, high), breakdown, tolerance) if cache else None
-        known = kept_or_none(lambda path: cls.load(path, material, breakdown=breakdown), path)
+        known = cached_or_none(lambda path: cls.load(path, material, breakdown=breakdown), path)
         if known is not None:
             return known
 
@@ -306,7 +306,7 @@ class SurfaceFamily(eqx.Module):
         which = tuple(QUANTITIES.index(name) for name in wanted)
         return list(_program(which)(self, apex_stretch, load_fraction, prestretch))
 
-    def __call__(self, apex_stretch, voltage_squared, prestretch) -> SheetState:
+    def __call__(self, apex_stretch, voltage_squared, prestretch) -> SurfaceState:
         """The state at (λa, q, λ0), elementwise over arrays of one shape; differentiable to any order in all three."""
         return arrays_of(_state(self, apex_stretch, voltage_squared, prestretch))
 

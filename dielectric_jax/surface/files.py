@@ -11,7 +11,7 @@ import numpy as np
 from ..model import Membrane, energy_on, field_on
 from ..numerics import cache_folder, is_own, make_folder, of_this_package
 
-__all__ = ["cached_path", "fingerprint", "keep", "kept_or_none", "read_archive", "same_fingerprint", "write_archive"]
+__all__ = ["cached_or_none", "cached_path", "fingerprint", "keep", "read_archive", "same_fingerprint", "write_archive"]
 
 
 def _checksum(arrays: dict[str, np.ndarray]) -> str:
@@ -99,7 +99,7 @@ def keep(save, path) -> None:
         path.chmod(0o600)
 
 
-def kept_or_none(load, path):
+def cached_or_none(load, path):
     """`load(path)` of a file in the cache; None where there is none, another user's, or a damaged one, which is removed."""
     if path is None or not path.exists() or not is_own(path):
         return None

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..model import largest_load
-from ..numerics import kept_jit
+from ..numerics import cached_jit
 from .surface import ById, Surface
 
 __all__ = ["ROWS", "Conditions", "Rows", "crossings", "rows_of"]
@@ -108,7 +108,7 @@ def _nodes():
     return -np.cos(np.pi * (np.arange(_TERMS) + 0.5) / _TERMS)
 
 
-@kept_jit
+@cached_jit
 def _values(surface: Surface, apex, load):
     """p and V (2, rows, places) at places t (rows, places) of some rows."""
     return jnp.stack(surface.at_load_fraction(apex[:, None], load, ("pressure", "volume")))

@@ -24,9 +24,9 @@ from ..model import (
 from ..numerics import check_positive, elementwise
 from .build import QUANTITIES, build_elements, edge_factors
 from .elements import NODES, Element, chebyshev, locate, pack, padded, unit_place, used
-from .files import cached_path, fingerprint, keep, kept_or_none, read_archive, same_fingerprint, write_archive
+from .files import cached_or_none, cached_path, fingerprint, keep, read_archive, same_fingerprint, write_archive
 
-__all__ = ["ById", "SheetState", "Surface", "pressure_and_volume"]
+__all__ = ["ById", "Surface", "SurfaceState", "pressure_and_volume"]
 
 _FORMAT = "dielectric_jax surface 1"
 BOTTOM = -0.75
@@ -36,7 +36,7 @@ _BOUND = 4.0  # times the largest error seen at the fresh states of an element
 _LEAST_BOUND = 3e-12  # what independent methods can tell
 
 
-class SheetState(typing.NamedTuple):
+class SurfaceState(typing.NamedTuple):
     """What the surface gives for a state, arrays of one shape; NaN outside its domain. `charge` is NaN where q < 0."""
 
     pressure: Array
@@ -46,16 +46,16 @@ class SheetState(typing.NamedTuple):
     energy: Array
 
 
-def arrays_of(values) -> SheetState:
+def arrays_of(values) -> SurfaceState:
     """The state of five arrays, of NumPy outside transformations."""
-    return SheetState(*(jax.device_put(v) if isinstance(v, np.ndarray) else v for v in values))
+    return SurfaceState(*(jax.device_put(v) if isinstance(v, np.ndarray) else v for v in values))
 
 
-def with_charge(values, q) -> SheetState:
+def with_charge(values, q) -> SurfaceState:
     """The state of p, V, z, C = Q/Φ, U at loads q."""
     p, v, z, c, u = values
     root = jnp.sqrt(jnp.where(q > 0, q, 1.0))
-    return SheetState(p, v, z, c * jnp.where(q > 0, root, jnp.where(q == 0, 0.0, jnp.nan)), u)
+    return SurfaceState(p, v, z, c * jnp.where(q > 0, root, jnp.where(q == 0, 0.0, jnp.nan)), u)
 
 
 def bound_of(errors, element):
@@ -120,7 +120,7 @@ class Surface(eqx.Module):
             raise ValueError(f"`membrane` must be a Membrane, but is a {type(membrane).__name__}.")
         check_tolerance(tolerance, "surface")
         path = cls.path_of(membrane, tolerance) if cache else None
-        known = kept_or_none(lambda path: cls.load(path, membrane), path)
+        known = cached_or_none(lambda path: cls.load(path, membrane), path)
         if known is not None:
             return known
         high = membrane.lock_up_stretch()[0]
@@ -167,7 +167,7 @@ class Surface(eqx.Module):
         values = factors[jnp.array(which)] * jnp.exp(logs)
         return list(jnp.where(inside, values, jnp.nan))
 
-    def __call__(self, apex_stretch, voltage_squared) -> SheetState:
+    def __call__(self, apex_stretch, voltage_squared) -> SurfaceState:
         """The state at (λa, q), elementwise over arrays of one shape; differentiable to any order, also in q."""
         return arrays_of(_state(self, apex_stretch, voltage_squared))
 

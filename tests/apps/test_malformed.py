@@ -57,7 +57,7 @@ def stopped(monkeypatch, tmp_path):
         (states, "_flat_equilibrium"),
         (diagram, "warm_up"),
         (sweeps, "_run"),
-        (regime_maps, "sheet_over"),
+        (regime_maps, "surface_over"),
         (design, "scan_designs"),
         (paper, "Paper"),
         (dj, "calibrate"),

@@ -144,7 +144,7 @@ def test_the_error_of_a_point_covers_its_parameter_and_its_load(over_pressure, m
 def test_the_filling_is_of_the_grid_it_is_asked_for(steps):
     """So what the coarser of two grids misses of the filling is in Newton's moves from one to the other."""
     conditions = fold_continuation.ConditionsOver(chamber(), "chamber_volume")
-    coarse, fine = (float(conditions.at(1600.0, s)[0].contour.initial_pressure) for s in (steps, 320.0))
+    coarse, fine = (float(conditions.at(1600.0, s)[0].condition.initial_pressure) for s in (steps, 320.0))
     held = dj.equilibrium(dj.Membrane(), voltage=0.0, volume=2.42, tolerance=1e-12)
     assert abs(fine / float(held.pressure) - 1) < 1e-12
     assert 1e-13 < abs(coarse / fine - 1) < 1e-3

@@ -472,8 +472,8 @@ DOCUMENT = {
     "area_strain",
     "area_strain_reason",
 }
-COLUMNS = "voltage_squared pressure volume apex_stretch height charge breakdown_ratio index error_estimate"
-POINT = f"kind branch voltage {COLUMNS} flags"
+UNKNOWNS = "voltage_squared pressure volume apex_stretch height charge breakdown_ratio index error_estimate"
+POINT = f"kind branch voltage {UNKNOWNS} flags"
 EVENT = "event direction voltage pressure volume apex_stretch breakdown_ratio error_estimate reason"
 
 
@@ -488,8 +488,8 @@ def test_json(diagram, name):
     kinds = {"fold", "zero_voltage", "breakdown", "hoop_tension_loss", "slack"}
     events = {"start", "snap", "landing", "snap_back", "breakdown", "no_landing", "end"}
     for branch in document["branches"]:
-        assert set(branch) >= {*COLUMNS.split(), "start", "end", "flags"}
-        assert len({len(branch[c]) for c in COLUMNS.split()}) == 1
+        assert set(branch) >= {*UNKNOWNS.split(), "start", "end", "flags"}
+        assert len({len(branch[c]) for c in UNKNOWNS.split()}) == 1
         assert all((c is None) == (q < 0) for c, q in zip(branch["charge"], branch["voltage_squared"], strict=True))
         assert all(
             (c is None) == (q < 0) for c, q in zip(branch["breakdown_ratio"], branch["voltage_squared"], strict=True)

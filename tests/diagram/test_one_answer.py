@@ -106,8 +106,8 @@ def test_folds_ahead_at_the_edge_of_the_scanned_window():
         (rises, 1.704619351616183, 13.270896, 0.037641629**2, {FoldAhead.none}),
         (turns, 0.2716179262155624, 4.029230, 0.0766268942, {FoldAhead.fold, FoldAhead.unknown}),
     ):
-        contour = jax.tree.map(np.atleast_1d, air.contour(pressure, air.initial_volume))
-        found = landings.folds_ahead(film, contour, np.array([apex]), np.array([load]))
+        condition = jax.tree.map(np.atleast_1d, air.condition(pressure, air.initial_volume))
+        found = landings.folds_ahead(film, condition, np.array([apex]), np.array([load]))
         assert FoldAhead(found[0]) in known
 
 

@@ -36,8 +36,8 @@ def test_the_map_is_an_equilibrium_of_shooting():
     material = dj.Gent(stretch_limit=200.0)
     apex, q, rim = random_chart(material, 200)
     p, v, _ = mapped(material, apex, q, rim, 256.0)
-    lag, volume = shot(material, apex, p, q)
-    np.testing.assert_allclose(np.asarray(lag) + apex, rim, rtol=2e-10)
+    stretch_change, volume = shot(material, apex, p, q)
+    np.testing.assert_allclose(np.asarray(stretch_change) + apex, rim, rtol=2e-10)
     np.testing.assert_allclose(volume, v, rtol=1e-9)
 
 
@@ -48,8 +48,8 @@ def test_the_map_of_a_user_s_material():
     apex, q, rim = np.array([1.5, 3.0, 6.0]), np.array([0.0, 0.02, -0.01]), np.array([1.0, 1.0, 2.0])
     p, v, slope = jax.jit(lambda *x: dj.model.explicit_map(material, *x))(apex, q, rim, 256.0)
     assert (np.asarray(slope) < 0).all()
-    lag, volume = jax.jit(lambda *x: dj.model.shoot(material, *x, steps=192.0))(apex, p, q)
-    np.testing.assert_allclose(np.asarray(lag) + apex, rim, rtol=1e-10)
+    stretch_change, volume = jax.jit(lambda *x: dj.model.shoot(material, *x, steps=192.0))(apex, p, q)
+    np.testing.assert_allclose(np.asarray(stretch_change) + apex, rim, rtol=1e-10)
     np.testing.assert_allclose(volume, v, rtol=1e-9)
 
 
@@ -143,7 +143,7 @@ def distance(line, point):
 
 def test_two_branches_at_p_1_2(sampled, reference):
     """The main branch and the isolated one; every reference state of p = 1.2 lies on one of them."""
-    found = long(sampled.contours(dj.ConstantPressure(1.2).contour()))
+    found = long(sampled.contours(dj.ConstantPressure(1.2).condition()))
     assert len(found) == 2
     found.sort(key=lambda c: c[:, 0].min())
     for ref in reference:
@@ -158,12 +158,12 @@ def test_two_branches_at_p_1_2(sampled, reference):
 @pytest.mark.parametrize(("pressure", "count"), [(1.82, 1), (0.8, 2), (1.9, 1)])
 def test_branches_at_other_pressures(sampled, pressure, count):
     """Two where the p–V valley at Φ = 0 (p 1.3617) lies above the pressure; one where all three states at Φ = 0 are joined."""
-    assert len(long(sampled.contours(dj.ConstantPressure(pressure).contour()))) == count
+    assert len(long(sampled.contours(dj.ConstantPressure(pressure).condition()))) == count
 
 
 def test_two_loads_at_one_apex_stretch(sampled):
     """p = 1.2 has two q at one λa between 7.7 and 10.1."""
-    isolated = max(long(sampled.contours(dj.ConstantPressure(1.2).contour())), key=lambda c: c[:, 0].max())
+    isolated = max(long(sampled.contours(dj.ConstantPressure(1.2).condition())), key=lambda c: c[:, 0].max())
     crossings = np.diff(isolated[:, 0] > 9.0) != 0
     assert crossings.sum() == 2
     assert np.ptp(isolated[:-1][crossings][:, 2]) > 0.01

@@ -64,10 +64,10 @@ def test_every_transformation_gives_the_same_derivative():
     def others(x):
         return jax.jvp(both, (x,), (way,))[1], jax.vjp(both, x)[1](weights)[0], jax.grad(lambda x: both(x)[0])(x)
 
-    moved, pulled, lag = others(x)
+    moved, pulled, stretch_change = others(x)
     np.testing.assert_allclose(moved, exact[2] @ way, rtol=1e-12)
     np.testing.assert_allclose(pulled, exact[2].T @ weights, rtol=1e-12)
-    np.testing.assert_allclose(lag, exact[2, 0], rtol=1e-12)
+    np.testing.assert_allclose(stretch_change, exact[2, 0], rtol=1e-12)
     volumes = jax.jit(jax.vmap(jax.grad(lambda x: both(x)[1])))(POINTS)
     np.testing.assert_allclose(volumes, exact[:, 1], rtol=1e-10)
 
@@ -78,7 +78,9 @@ def test_only_the_asked_derivatives_are_needed():
     exact = np.asarray(jacobian(POINTS[4]))
     by_pressure = jax.jit(jax.grad(lambda p: dj.model.shoot(dj.Gent(stretch_limit=j), a, p, q, steps=192.0).volume))(p)
     assert float(by_pressure) == pytest.approx(exact[1, 1], rel=1e-10)
-    by_material = jax.jit(jax.grad(lambda m: dj.model.shoot(m, a, p, q, steps=192.0).lag))(dj.Gent(stretch_limit=j))
+    by_material = jax.jit(jax.grad(lambda m: dj.model.shoot(m, a, p, q, steps=192.0).stretch_change))(
+        dj.Gent(stretch_limit=j)
+    )
     assert float(by_material.stretch_limit) == pytest.approx(exact[0, 3], rel=1e-10)
 
 
@@ -117,7 +119,7 @@ def test_the_careful_path_agrees_with_the_grid():
     fine = fixed(*lanes, 256.0)
     for exponent, size in ((10.0, 1e-8), (13.0, 2e-12)):
         shot = careful(*lanes, exponent)
-        np.testing.assert_allclose(shot.lag, fine.lag, rtol=size, atol=size)
+        np.testing.assert_allclose(shot.stretch_change, fine.stretch_change, rtol=size, atol=size)
         np.testing.assert_allclose(shot.volume, fine.volume, rtol=size)
 
 
@@ -168,5 +170,5 @@ def test_scaling_leaves_the_equations_unchanged():
     shape = dj.profile(membrane, state, steps=192)
     for i in (60, 120, 170):
         c = shape.radius[i]
-        lag, _ = value(np.array([[state.apex_stretch, state.pressure * c, 0.01, 270.0]]), 128.0)[0]
-        assert float(lag) == pytest.approx(shape.stretch_2[i] - state.apex_stretch, rel=1e-9)
+        stretch_change, _ = value(np.array([[state.apex_stretch, state.pressure * c, 0.01, 270.0]]), 128.0)[0]
+        assert float(stretch_change) == pytest.approx(shape.stretch_2[i] - state.apex_stretch, rel=1e-9)

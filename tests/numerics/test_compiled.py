@@ -33,7 +33,7 @@ def fresh():
         _TRACES.append(1)
         return [jax.vmap(jax.grad(material.energy))(stretch, stretch)]
 
-    return kept.kept_jit(first_stress), _TRACES
+    return kept.cached_jit(first_stress), _TRACES
 
 
 def power_program(power):
@@ -42,7 +42,7 @@ def power_program(power):
     def program(material, stretch):
         return [material.energy(stretch, stretch) * 0.0 + stretch**power]
 
-    return kept.kept_jit(program)
+    return kept.cached_jit(program)
 
 
 def gent_stress(stretch_limit, stretch):
@@ -130,7 +130,7 @@ def test_what_cannot_be_exported_still_runs(folder):
         shape = jax.ShapeDtypeStruct(stretch.shape, stretch.dtype)
         return [jax.pure_callback(lambda x: np.asarray(2 * x), shape, stretch)]
 
-    program = kept.kept_jit(with_callback)
+    program = kept.cached_jit(with_callback)
     assert float(program(dj.Gent(), jnp.array([2.0]))[0][0]) == 4.0
     assert not folder.exists()
 

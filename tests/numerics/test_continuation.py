@@ -297,12 +297,12 @@ def settings():
 
 
 def pressure_curve(steps, seed, heading):
-    contour = dj.ConstantVoltage(0.15).contour()
+    condition = dj.ConstantVoltage(0.15).condition()
     material = dj.Gent()
 
     def residual(u, args):
         rim = dj.model.shoot(material, u[0], u[1], u[2], steps=44.0)
-        return jnp.stack([rim.lag - (1.0 - u[0]), contour.residual(u[1], rim.volume, u[2])])
+        return jnp.stack([rim.stretch_change - (1.0 - u[0]), condition.residual(u[1], rim.volume, u[2])])
 
     def margins(u, args):
         return jnp.stack([u[0] - 1.3, 10.8 - u[0], u[1] - 0.05, 9.0 - u[1]])
@@ -361,10 +361,10 @@ def test_four_folds_in_the_diagram_at_every_setting(membrane, options):
 def test_tangents_of_a_trace_lead_along_it():
     """In scaled unknowns the tangent is a unit vector along the chord to the next point."""
     membrane = dj.Membrane()
-    contour = dj.ConstantPressure(1.82).contour()
+    condition = dj.ConstantPressure(1.82).condition()
     limits = np.array([1.0, 11.6, -1.0, 1.0, 8.4])
     seed = np.array([1.82, 1.82, 0.0])
-    points, tangents, _ = run_trace(membrane, contour, limits, seed, np.array([1.0, 0.0, 0.0]))
+    points, tangents, _ = run_trace(membrane, condition, limits, seed, np.array([1.0, 0.0, 0.0]))
     chords = np.diff(points / SCALE, axis=0)
     chords /= np.linalg.norm(chords, axis=1)[:, None]
     assert np.allclose(np.linalg.norm(tangents, axis=1), 1.0)

@@ -51,11 +51,11 @@ def batches(share, count):
 
 
 def surfaces(share, count):
-    sheet = dj.Surface.build(film(share), tolerance=1e-5, cache=False)
-    dj.glance(scene(share), sheet)
-    dj.diagram.chamber_ramps(sheet, np.linspace(1000.0, 2000.0, count), 2.4)
-    sheet(np.linspace(2.0, 2.5, count), 0.001)
-    sheet.error_bound(np.linspace(2.0, 2.5, count), 0.001)
+    surface = dj.Surface.build(film(share), tolerance=1e-5, cache=False)
+    dj.glance(scene(share), surface)
+    dj.diagram.chamber_ramps(surface, np.linspace(1000.0, 2000.0, count), 2.4)
+    surface(np.linspace(2.0, 2.5, count), 0.001)
+    surface.error_bound(np.linspace(2.0, 2.5, count), 0.001)
 
 
 def points(share, _):
@@ -93,7 +93,7 @@ def stress_program(most_live, monkeypatch):
     def first_stress(material, stretch):
         return [jax.vmap(jax.grad(material.energy))(stretch, stretch)]
 
-    return kept.kept_jit(first_stress), programs
+    return kept.cached_jit(first_stress), programs
 
 
 STRETCH = np.array([1.5, 2.0, 3.0])

@@ -107,7 +107,7 @@ def test_material_derivatives_by_the_implicit_rule_and_by_rebuilding(surface):
 
         def shot(limit, pressure, apex=apex, q=q):
             rim = dj.model.shoot(dj.Gent(limit), apex, pressure, q, steps=64.0)
-            return jnp.stack([rim.lag, rim.volume])
+            return jnp.stack([rim.stretch_change, rim.volume])
 
         by_limit, by_pressure = jax.jacfwd(shot, argnums=(0, 1))(270.0, state.pressure)
         pressure_rate = -by_limit[0] / by_pressure[0]
