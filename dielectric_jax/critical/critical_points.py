@@ -20,6 +20,7 @@ from ..model import (
     Chamber,
     ConstantPressure,
     ConstantVoltage,
+    PointKind,
     Scene,
     difficulty,
     field_ratio_squared,
@@ -30,17 +31,7 @@ from ..model import (
 from ..numerics import Code, SceneError
 from ..surface import Surface
 from .host_scenes import Scenes
-from .point_systems import (
-    BREAKDOWN,
-    FOLD,
-    LEVEL,
-    PRESSURE,
-    VOLUME,
-    Conditions,
-    Solution,
-    attach,
-    attach_free,
-)
+from .point_systems import Conditions, Solution, attach, attach_free
 from .rim import AbstractRim, ShotRim, SurfaceRim
 from .searches import first_folds, first_folds_on_surface, guarded, ramp_events
 
@@ -187,16 +178,18 @@ def start_of(scene: Scene, found: Found, surface) -> tuple[Solution, Conditions]
     """The state at zero voltage, and the loading's conditions with the filling of a chamber."""
     loading = scene.loading
     if isinstance(loading, ConstantPressure):
-        kind, target = PRESSURE, loading.pressure
+        kind, target = PointKind.pressure, loading.pressure
     else:
         assert isinstance(loading, Chamber)
         by_volume = loading.initial_volume is not None
-        kind, target = (VOLUME, loading.initial_volume) if by_volume else (PRESSURE, loading.initial_pressure)
+        kind, target = (
+            (PointKind.volume, loading.initial_volume) if by_volume else (PointKind.pressure, loading.initial_pressure)
+        )
     held = Conditions(scene.membrane, ConstantVoltage(0.0).condition(), target)
     state = attach(found.state, held, kind, engine_of(surface, found.steps))
     if isinstance(loading, ConstantPressure):
         return state, Conditions(scene.membrane, loading.condition())
-    filled = (state.pressure, target) if kind == VOLUME else (target, state.volume)
+    filled = (state.pressure, target) if kind == PointKind.volume else (target, state.volume)
     return state, Conditions(scene.membrane, loading.condition(*filled))
 
 
@@ -226,7 +219,7 @@ def _fold(scene: Scene, name: str, surface, throw: bool) -> CriticalPoint:
     _, theta = start_of(scene, found["start"], surface)
     of = found[name]
     engine = engine_of(surface, of.steps)
-    state = attach(of.state, theta, FOLD, engine)
+    state = attach(of.state, theta, PointKind.fold, engine)
     # the load by first derivatives alone
     state = state._replace(voltage_squared=attach_free(of.state.voltage_squared, of.state, theta, engine))
     return point_of(scene, of, state, throw)
@@ -292,7 +285,7 @@ def _landing(theta: Conditions, found, surface) -> Solution:
     snap, landing = found["snap"], found["landing"]
     load = attach_free(snap.state.voltage_squared, snap.state, theta, engine_of(surface, snap.steps))
     at = eqx.tree_at(lambda c: c.target, theta, load)
-    return attach(landing.state, at, LEVEL, engine_of(surface, landing.steps))
+    return attach(landing.state, at, PointKind.load, engine_of(surface, landing.steps))
 
 
 def _select(choice, one: Solution, other: Solution) -> Solution:
@@ -307,7 +300,7 @@ def _breakdown(theta: Conditions, found, surface) -> Solution:
     broken = found["breakdown"]
     in_snap = _in_snap(found)
     engine = engine_of(surface, broken.steps)
-    on_branch = attach(broken.state, theta, BREAKDOWN, engine)
+    on_branch = attach(broken.state, theta, PointKind.breakdown, engine)
     snap = found["snap"]._replace(state=_select(in_snap, found["snap"].state, broken.state))
     landed = _landing(theta, {"snap": snap, "landing": broken}, surface)
     return _select(in_snap, landed, on_branch)
@@ -350,7 +343,7 @@ def area_strain(scene: Scene, *, surface: Surface | None = None):
     at_fold = _select(held, snap.state, broken.state)
     at_end = _select(held, snap.state, broken.state)
     engine = engine_of(surface, jnp.where(held, snap.steps, broken.steps))
-    folded = attach(at_fold, theta, FOLD, engine)
-    ended = attach(at_end, theta, BREAKDOWN, engine)
+    folded = attach(at_fold, theta, PointKind.fold, engine)
+    ended = attach(at_end, theta, PointKind.breakdown, engine)
     apex = jnp.where(held, folded.apex_stretch, ended.apex_stretch)
     return jnp.where(of.code == int(Code.ok), (apex / start.apex_stretch) ** 2 - 1, jnp.nan)

@@ -9,12 +9,12 @@ import typing
 import numpy as np
 
 from ..diagram import filling
-from ..model import Chamber, ConstantPressure, ConstantVoltage, Membrane, Scene
+from ..model import Chamber, ConstantPressure, ConstantVoltage, Membrane, PointKind, Scene
 from ..numerics import Code, SceneError
 from .critical_points import CriticalPoint, engine_of, find, point_of, start_of
 from .fixed_load import chamber_cusps, leaf_of, none, onset, pressure_extremes, zero_states
 from .fixed_load import pressure_cusp as find_pressure_cusp
-from .point_systems import CUSP, LEVEL, ONSET, PRESSURE_CUSP, PRESSURE_FOLD, Conditions, attach, attach_free
+from .point_systems import Conditions, attach, attach_free
 
 __all__ = [
     "bistability_onset",
@@ -40,7 +40,9 @@ def _extreme(name: str, membrane: Membrane, voltage, throw: bool) -> CriticalPoi
 
     found = find((name,), scene, None, one)[name]
     theta = Conditions(membrane, ConstantVoltage(0.0).condition(), load)
-    return point_of(scene, found, attach(found.state, theta, PRESSURE_FOLD, engine_of(None, found.steps)), throw)
+    return point_of(
+        scene, found, attach(found.state, theta, PointKind.pressure_fold, engine_of(None, found.steps)), throw
+    )
 
 
 def pressure_peak(membrane: Membrane, voltage=0.0, *, throw: bool = True) -> CriticalPoint:
@@ -102,7 +104,7 @@ def zero_voltage_point(scene: Scene, number: int = 0, *, throw: bool = True) -> 
     found = find(("start", "state"), scene, None, one)
     of = found["state"]
     _, theta = start_of(scene, found["start"], None)
-    return point_of(scene, of, attach(of.state, theta, LEVEL, engine_of(None, of.steps)), throw)
+    return point_of(scene, of, attach(of.state, theta, PointKind.load, engine_of(None, of.steps)), throw)
 
 
 def _of_chamber(scene: Scene, search: typing.Callable):
@@ -126,7 +128,7 @@ def bistability_point(scene: Scene, *, throw: bool = True) -> CriticalPoint:
     It has a fold at zero voltage. The chamber volume of `scene` plays no part.
     """
     of, theta, free, engine = _of_chamber(scene, onset)
-    state = attach(of.state, theta, ONSET, engine, free)
+    state = attach(of.state, theta, PointKind.onset, engine, free)
     # the volume by first derivatives alone
     state = state._replace(free=attach_free(of.state.free, of.state, theta, engine, free))
     return point_of(scene, of, state, throw)
@@ -155,7 +157,7 @@ def cusp(
         return cusps[number] if -len(cusps) <= number < len(cusps) else none(Code.no_cusp)
 
     of, theta, free, engine = _of_chamber(scene, search)
-    return point_of(scene, of, attach(of.state, theta, CUSP, engine, free), throw)
+    return point_of(scene, of, attach(of.state, theta, PointKind.cusp, engine, free), throw)
 
 
 def pressure_cusp(
@@ -173,5 +175,5 @@ def pressure_cusp(
 
     of = find(("cusp",), scene, None, one)["cusp"]
     theta = Conditions(membrane, ConstantVoltage(0.0).condition(), load)
-    state = attach(of.state, theta, PRESSURE_CUSP, engine_of(None, of.steps), leaf_of(theta, "prestretch"))
+    state = attach(of.state, theta, PointKind.pressure_cusp, engine_of(None, of.steps), leaf_of(theta, "prestretch"))
     return point_of(scene, of, state, throw)

@@ -14,9 +14,19 @@ from scipy.interpolate import make_interp_spline
 from scipy.optimize import brentq
 
 from ..diagram import MembraneKey
-from ..model import SCALE, Chamber, ConstantVoltage, LoadingCondition, Membrane, largest_load, map_nodes, stretch_shares
+from ..model import (
+    SCALE,
+    Chamber,
+    ConstantVoltage,
+    LoadingCondition,
+    Membrane,
+    PointKind,
+    largest_load,
+    map_nodes,
+    stretch_shares,
+)
 from ..numerics import Code
-from .point_systems import CUSP, LEVEL, ONSET, PRESSURE_CUSP, PRESSURE_FOLD, Conditions, correction
+from .point_systems import Conditions, correction
 from .rim import ShotRim
 
 __all__ = ["chamber_cusps", "onset", "pressure_cusp", "pressure_extremes", "settle", "zero_states"]
@@ -75,7 +85,7 @@ def line_of(membrane: Membrane, q: float) -> Line:
     return _line(MembraneKey.of(membrane), float(q))
 
 
-def settle(kind: str, u, theta: Conditions, free: int | None = None, value: float = 0.0):
+def settle(kind: PointKind, u, theta: Conditions, free: int | None = None, value: float = 0.0):
     """Newton on the equations of a kind from u = (λa, p, q) and the free leaf's value; then once more on a finer grid.
 
     Returns (λa, p, q, V, error, code, free), NaN with a code where it does not settle.
@@ -83,7 +93,13 @@ def settle(kind: str, u, theta: Conditions, free: int | None = None, value: floa
     scale = np.concatenate([SCALE, [abs(value) or 1.0]])
     x, begin = np.array([*u, value], float), np.array([*u, value], float)
     leaves, tree = jax.tree.flatten(theta)
-    which = [0, 1, 3] if kind == ONSET else [0, 1, 2, 3] if kind in (CUSP, PRESSURE_CUSP) else [0, 1, 2]
+    which = (
+        [0, 1, 3]
+        if kind == PointKind.onset
+        else [0, 1, 2, 3]
+        if kind in (PointKind.cusp, PointKind.pressure_cusp)
+        else [0, 1, 2]
+    )
     move, volume = np.full(4, np.inf), np.nan
 
     def step(steps):
@@ -105,7 +121,7 @@ def settle(kind: str, u, theta: Conditions, free: int | None = None, value: floa
         return np.array([np.nan] * 5 + [float(Code.not_converged), np.nan])
     move, volume = step(_GRIDS[1])
     x = x + move
-    located = 3 if free is not None else 2 if kind == LEVEL else 1
+    located = 3 if free is not None else 2 if kind == PointKind.load else 1
     error = np.abs(move[located]) / _SAFETY / max(abs(x[located]), 1e-3) + _LEAST
     return np.array([*x[:3], volume, error, float(Code.ok), x[3] if free is not None else np.nan])
 
@@ -131,7 +147,7 @@ def pressure_extremes(membrane: Membrane, q: float) -> dict[str, np.ndarray]:
             continue
         begun |= bool(peak)
         apex, p, _ = line.at(place)
-        found[name] = settle(PRESSURE_FOLD, (apex, p, float(q)), theta)
+        found[name] = settle(PointKind.pressure_fold, (apex, p, float(q)), theta)
     return found
 
 
@@ -142,7 +158,7 @@ def zero_states(membrane: Membrane, condition: LoadingCondition) -> list[np.ndar
         return []
     roots = line.roots(lambda s: np.asarray(condition.residual(*line.at(s)[1:], 0.0)))
     theta = Conditions(membrane, condition, np.asarray(0.0))
-    return [settle(LEVEL, (*line.at(place)[:2], 0.0), theta) for place in roots]
+    return [settle(PointKind.load, (*line.at(place)[:2], 0.0), theta) for place in roots]
 
 
 def leaf_of(theta: Conditions, name: str) -> int:
@@ -180,7 +196,9 @@ def onset(membrane: Membrane, loading: Chamber, filled) -> np.ndarray:
     i = low[np.argmin(values[low])]
     apex, p, _ = line.at(line.fine[i])
     theta = Conditions(membrane, loading.condition(*filled), np.asarray(0.0))
-    return settle(ONSET, (float(apex), float(p), 0.0), theta, leaf_of(theta, "chamber_volume"), float(values[i]))
+    return settle(
+        PointKind.onset, (float(apex), float(p), 0.0), theta, leaf_of(theta, "chamber_volume"), float(values[i])
+    )
 
 
 def pressure_cusp(membrane: Membrane, q: float, within: tuple[float, float]) -> np.ndarray:
@@ -218,7 +236,7 @@ def pressure_cusp(membrane: Membrane, q: float, within: tuple[float, float]) -> 
     theta = Conditions(
         Membrane(membrane.material, rim, membrane.breakdown), ConstantVoltage(0.0).condition(), np.asarray(q)
     )
-    return settle(PRESSURE_CUSP, (*place, q), theta, leaf_of(theta, "prestretch"), rim)
+    return settle(PointKind.pressure_cusp, (*place, q), theta, leaf_of(theta, "prestretch"), rim)
 
 
 def chamber_cusps(membrane: Membrane, loading: Chamber, filled, within: tuple[float, float]) -> list[np.ndarray]:
@@ -249,7 +267,7 @@ def chamber_cusps(membrane: Membrane, loading: Chamber, filled, within: tuple[fl
             (a0, p0, s0), (a1, p1, s1) = pairs[0]
             theta = Conditions(membrane, loading.condition(*filled), np.asarray(0.0))
             guess = ((a0 + a1) / 2, (p0 + p1) / 2, float(at))
-            point = settle(CUSP, guess, theta, leaf_of(theta, "chamber_volume"), 2 / (s0 + s1))
+            point = settle(PointKind.cusp, guess, theta, leaf_of(theta, "chamber_volume"), 2 / (s0 + s1))
             if point[5] == int(Code.ok) and low <= point[6] <= high:
                 found.append(point)
         before = q, extremes

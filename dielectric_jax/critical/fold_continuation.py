@@ -17,6 +17,7 @@ from ..model import (
     Chamber,
     ConstantPressure,
     ConstantVoltage,
+    PointKind,
     Scene,
     difficulty,
     field_ratio_squared,
@@ -26,7 +27,7 @@ from ..model import (
 from ..numerics import SceneError, cached_jit
 from .critical_points import Found, find, start_of
 from .fixed_load import zero_states
-from .point_systems import BREAKDOWN, PRESSURE, PRESSURE_FOLD, VOLUME, Conditions, Solution, linearised
+from .point_systems import Conditions, Solution, linearised
 from .rim import ShotRim
 
 __all__ = ["LARGEST_LOAD", "ConditionsOver", "Followed", "Lost", "Place", "System", "follow"]
@@ -155,7 +156,9 @@ class ConditionsOver:
         scene = self.scene.replace(**{self.name: value})
         loading = typing.cast(Chamber, scene.loading)
         by_volume = loading.initial_volume is not None
-        kind, target = (VOLUME, loading.initial_volume) if by_volume else (PRESSURE, loading.initial_pressure)
+        kind, target = (
+            (PointKind.volume, loading.initial_volume) if by_volume else (PointKind.pressure, loading.initial_pressure)
+        )
         held = _floats(Conditions(scene.membrane, ConstantVoltage(0.0).condition(), target))
         state = None if self.start is None else _settled(kind, self.start.state, held, steps)
         if state is None:
@@ -167,7 +170,7 @@ class ConditionsOver:
         return self.start
 
 
-def _settled(kind: str, last: Solution, held: Conditions, steps: float) -> Solution | None:
+def _settled(kind: PointKind, last: Solution, held: Conditions, steps: float) -> Solution | None:
     """The state of a kind near the last one, by shots of so many steps; None where Newton does not settle."""
     u, engine = np.array([float(v) for v in last[:3]]), ShotRim(np.asarray(steps))
     for _ in range(8):
@@ -198,10 +201,10 @@ def _floats(theta: Conditions) -> Conditions:
 class System:
     """The equations of a kind of curve in scaled unknowns z = (λa, p, q, w), w the place of the parameter within its bounds."""
 
-    def __init__(self, kind: str, conditions: ConditionsOver, within: tuple[float, float]):
+    def __init__(self, kind: PointKind, conditions: ConditionsOver, within: tuple[float, float]):
         self.kind, self.conditions, self.within = kind, conditions, within
         self.logarithmic = within[0] > 0 and within[1] / within[0] > _LOG_FROM
-        self.control = 1 if kind == PRESSURE_FOLD else 2
+        self.control = 1 if kind == PointKind.pressure_fold else 2
         self.membrane = conditions.scene.membrane
 
     def value(self, w: float) -> float:
@@ -325,7 +328,7 @@ def _one_way(system: System, start: Place, sense: float, levels: np.ndarray, lar
             turn = math.acos(min(1.0, there.tangent @ here.tangent))
             offset = float(np.linalg.norm(there.z - guess)) / step
             # a law of breakdown may have a kink, and its curve a corner
-            corner = system.kind == BREAKDOWN and step < 4 * _SMALLEST
+            corner = system.kind == PointKind.breakdown and step < 4 * _SMALLEST
             if (turn <= _MOST_TURN and offset <= _MOST_OFFSET) or corner:
                 passed = _passed(system, here, there, levels, largest_ratio, end)
         except _NoFilling:
@@ -383,7 +386,7 @@ def _passed(system: System, here: Place, there: Place, levels: np.ndarray, large
         ("largest_ratio", lambda p: largest_ratio - p.ratio),
         ("largest_load", lambda p: LARGEST_LOAD - p.fraction),
     ):
-        if system.kind == PRESSURE_FOLD and reason == "zero_voltage":
+        if system.kind == PointKind.pressure_fold and reason == "zero_voltage":
             continue
         if function(there) < 0 and function(here) < _ON:
             return [], [], [], reason
@@ -396,7 +399,7 @@ def _passed(system: System, here: Place, there: Place, levels: np.ndarray, large
             place = there if abs(after) < _ON else _between(system, here, there, (3, w))
             found.append(place)
             crossings.append((i, place))
-    if system.kind != BREAKDOWN:
+    if system.kind != PointKind.breakdown:
         if here.tangent[3] * there.tangent[3] < 0:
             both = here.tangent[control] * there.tangent[control] < 0
             points.append(("cusp" if both else "merger", _between(system, here, there, lambda p: p.tangent[3])))

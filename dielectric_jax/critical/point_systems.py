@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..model import LoadingCondition, Membrane, field_ratio_squared
+from ..model import LoadingCondition, Membrane, PointKind, field_ratio_squared
 from ..numerics import cached_jit
 from .rim import AbstractRim, entries, jets, perturbed
 
@@ -34,12 +34,16 @@ __all__ = [
     "linearised",
 ]
 
-LEVEL, BREAKDOWN, FOLD, VOLUME, PRESSURE = "level", "breakdown", "fold", "volume", "pressure"
-PRESSURE_FOLD, ONSET, CUSP, PRESSURE_CUSP = "pressure_fold", "onset", "cusp", "pressure_cusp"
 #: the order of the derivatives of r and V that the equations of a kind hold
-_ORDER = {FOLD: 1, PRESSURE_FOLD: 1, ONSET: 1, CUSP: 2, PRESSURE_CUSP: 2}
+_ORDER = {
+    PointKind.fold: 1,
+    PointKind.pressure_fold: 1,
+    PointKind.onset: 1,
+    PointKind.cusp: 2,
+    PointKind.pressure_cusp: 2,
+}
 #: kinds with a parameter among their unknowns: in place of q, which is then given, or beside it
-_INSTEAD, _BESIDE = (ONSET,), (CUSP, PRESSURE_CUSP)
+_INSTEAD, _BESIDE = (PointKind.onset,), (PointKind.cusp, PointKind.pressure_cusp)
 
 
 class Conditions(eqx.Module):
@@ -50,7 +54,7 @@ class Conditions(eqx.Module):
     target: typing.Any = 0.0
 
 
-def _equations(kind: str, engine: AbstractRim, rims, u, theta: Conditions):
+def _equations(kind: PointKind, engine: AbstractRim, rims, u, theta: Conditions):
     """F(u, θ) and V, from `rim` and as many of its derivatives as the kind needs."""
     condition = theta.condition
 
@@ -63,25 +67,25 @@ def _equations(kind: str, engine: AbstractRim, rims, u, theta: Conditions):
 
     rim = rims[0]
     residual = engine.residual(theta.membrane, u, rim[0])
-    if kind == VOLUME:
+    if kind == PointKind.volume:
         rows = [residual, rim[1] - theta.target, u[2]]
-    elif kind == PRESSURE:
+    elif kind == PointKind.pressure:
         rows = [residual, u[1] - theta.target, u[2]]
-    elif kind in (PRESSURE_FOLD, PRESSURE_CUSP):
+    elif kind in (PointKind.pressure_fold, PointKind.pressure_cusp):
         rows = [residual, determinant(rim, rims[1], u)[1], u[2] - theta.target]
-        if kind == PRESSURE_CUSP:
+        if kind == PointKind.pressure_cusp:
             push = rims[1] @ _AXES[0], rims[2] @ _AXES[0], _AXES[0]
             rows.append(jax.jvp(lambda *v: determinant(*v)[1], (rim, rims[1], u), push)[1])
     else:
         rows = [residual, condition.residual(u[1], rim[1], u[2])]
-        if kind == LEVEL:
+        if kind == PointKind.load:
             rows.append(u[2] - theta.target)
-        elif kind == BREAKDOWN:
+        elif kind == PointKind.breakdown:
             rows.append(u[2] * field_ratio_squared(theta.membrane.breakdown, u[0], u[0]) - 1)
         else:
             value, by_r, by_p = determinant(rim, rims[1], u)
             rows.append(value)
-            if kind == CUSP:
+            if kind == PointKind.cusp:
                 null = jnp.stack([-by_p, by_r, jnp.zeros_like(by_r)])
                 push = rims[1] @ null, rims[2] @ null, null
                 rows.append(jax.jvp(lambda *v: determinant(*v)[0], (rim, rims[1], u), push)[1])
@@ -102,7 +106,7 @@ def _program(function: Callable, *fixed) -> Callable:
     return cached_jit(program)
 
 
-def _assemble(kind: str, wanted: tuple, engine, u, theta: Conditions, rims, by_leaf: dict):
+def _assemble(kind: PointKind, wanted: tuple, engine, u, theta: Conditions, rims, by_leaf: dict):
     """F and V (k,), and their derivatives by u (k, 3) and by the numbers in the leaves of θ in `wanted` (k, numbers).
 
     `rims` holds one derivative more than the equations do, `by_leaf` the derivatives of all but that by leaves.
@@ -134,13 +138,13 @@ def _assemble(kind: str, wanted: tuple, engine, u, theta: Conditions, rims, by_l
     return value, jnp.stack(by_u, axis=1), by_theta
 
 
-def linearised(kind: str, wanted: tuple, engine: AbstractRim, u, theta: Conditions):
+def linearised(kind: PointKind, wanted: tuple, engine: AbstractRim, u, theta: Conditions):
     """F and V (k,), their derivatives by u (k, 3), and by the numbers in the leaves of θ in `wanted` (k, numbers)."""
     rims, by_leaf = jets(engine, theta.membrane, u, _ORDER.get(kind, 0), wanted)
     return _program(_assemble, kind, wanted)(engine, u, theta, rims, by_leaf)
 
 
-def _unknowns(kind: str, by_u, by_theta):
+def _unknowns(kind: PointKind, by_u, by_theta):
     """The columns of a kind's unknowns: λa, p, and q or the free parameter, which is the last column of θ, or both."""
     if kind in _INSTEAD:
         return jnp.concatenate([by_u[:, :2], by_theta[:, -1:]], axis=1)
@@ -160,11 +164,11 @@ def _solve(matrix, right):
     return inverse @ right
 
 
-def _move(kind: str, value, by_u, by_theta):
+def _move(kind: PointKind, value, by_u, by_theta):
     return -_solve(_unknowns(kind, by_u, by_theta)[:-1], value[:-1, None])[:, 0]
 
 
-def correction(kind: str, engine: AbstractRim, u, theta: Conditions, free: int | None = None):
+def correction(kind: PointKind, engine: AbstractRim, u, theta: Conditions, free: int | None = None):
     """F(u, θ), Newton's move −F_x⁻¹ F of the unknowns x of a kind of point, and V.
 
     The unknowns are (λa, p, q), or with a `free` leaf of θ (λa, p, leaf) or (λa, p, q, leaf).
@@ -173,7 +177,7 @@ def correction(kind: str, engine: AbstractRim, u, theta: Conditions, free: int |
     return value[:-1], _program(_move, kind)(value, by_u, by_theta), value[-1]
 
 
-def _rates(kind: str, free, by_u, by_theta):
+def _rates(kind: PointKind, free, by_u, by_theta):
     """Derivatives of λa, p, q, V, and of the free parameter, by the other leaves."""
     asked = by_theta if free is None else by_theta[:, :-1]
     move = -_solve(_unknowns(kind, by_u, by_theta)[:-1], asked[:-1])
@@ -215,7 +219,9 @@ def _with_free(theta: Conditions, free: int | None, value) -> Conditions:
     return tree.unflatten([*leaves[:free], value, *leaves[free + 1 :]])
 
 
-def attach(state: Solution, theta: Conditions, kind: str, engine: AbstractRim, free: int | None = None) -> Solution:
+def attach(
+    state: Solution, theta: Conditions, kind: PointKind, engine: AbstractRim, free: int | None = None
+) -> Solution:
     """The `state`, known to solve the equations of `kind` at θ, with its derivatives by θ.
 
     `free` names the leaf of θ that is an unknown itself; its value is the state's.
@@ -263,10 +269,10 @@ def _(primals, tangents):
     value = _attach_free(value, state, theta, engine, free)
     if not which:
         return value, jnp.zeros_like(value)
-    at = _attach(state, theta, FOLD if free is None else ONSET, engine, free)
+    at = _attach(state, theta, PointKind.fold if free is None else PointKind.onset, engine, free)
     wanted = which if free is None else (*which, free)
     # at a given load: the equations without their third
-    _, by_u, by_theta = linearised(LEVEL, wanted, engine, jnp.stack(at[:3]), _with_free(theta, free, at.free))
+    _, by_u, by_theta = linearised(PointKind.load, wanted, engine, jnp.stack(at[:3]), _with_free(theta, free, at.free))
     rates = _program(_free_rates, free)(by_u, by_theta)
     return value, rates @ _numbers(moves)
 

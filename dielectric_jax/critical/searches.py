@@ -24,11 +24,11 @@ from ..diagram import (
     starts,
     voltage_volume,
 )
-from ..model import SCALE, ConstantVoltage, Outcome, Scene, State, locking_stretch
+from ..model import SCALE, ConstantVoltage, Outcome, PointKind, Scene, State, locking_stretch
 from ..numerics import Code, SceneError, Steps, advance, begin, cached_jit
 from ..surface import Surface
 from .host_scenes import Scenes
-from .point_systems import FOLD, Conditions, correction
+from .point_systems import Conditions, correction
 from .rim import ShotRim, jets
 
 __all__ = ["EVENTS", "first_folds", "first_folds_on_surface", "ramp_events"]
@@ -262,12 +262,8 @@ def _table_of(ramps: Ramps) -> dict[str, np.ndarray]:
     outcome = np.asarray(ramps.outcome)
     table = {}
     for name, column in _COLUMNS.items():
-        place = getattr(ramps, name)
-        values = [v if column is None else v[..., column] for v in (place.apex_stretch, place.pressure)]
-        voltage, volume, error = (
-            v if column is None else v[..., column] for v in (place.voltage, place.volume, place.error)
-        )
-        table[name] = np.stack([*values, voltage**2, volume, error, np.zeros_like(error)], axis=-1)
+        values = [v if column is None else v[..., column] for v in getattr(ramps, name)]
+        table[name] = np.stack([*values, np.zeros_like(values[0])], axis=-1)
     broken = outcome == Outcome.breakdown_in_snap
     # with breakdown in the snap the landing is where it happens
     table["breakdown"][broken] = table["landing"][broken]
@@ -288,7 +284,7 @@ def first_folds_on_surface(scenes: Scenes, surface: Surface) -> dict[str, np.nda
     """`first_folds` of scenes of one membrane on its surface; shooting decides what the surface does not."""
     found = first_folds_on(surface, loading_arrays(scenes.stacked().loading, surface))
     code = np.full((*found.shape[:-1], 1), float(Code.ok))
-    found = np.concatenate([found[..., [0, 1, 3, 2, 4]], code], axis=-1)
+    found = np.concatenate([found, code], axis=-1)
     unknown = np.flatnonzero(~np.isfinite(found[:, 1, 0]))
     table = {"start": found[:, 0], "snap": found[:, 1]}
     if len(unknown):
@@ -303,7 +299,7 @@ def _settled_fold(scene: Scene, start: np.ndarray, fold: np.ndarray) -> np.ndarr
     condition = condition_of(scene, float(start[1]), float(start[3]))
     theta = Conditions(scene.membrane, condition, np.asarray(0.0))
     engine = ShotRim(np.asarray(48.0))
-    _, move, _ = correction(FOLD, engine, fold[:3], theta)
+    _, move, _ = correction(PointKind.fold, engine, fold[:3], theta)
     move = np.asarray(move)
     if not np.abs(move / SCALE).max() < 1e-3:  # its grid is too coarse for this state
         return fold

@@ -17,11 +17,10 @@ import math
 import numpy as np
 
 from ..diagram import hermite, pressure_volume, voltage_volume
-from ..model import SCALE, Chamber, ConstantPressure, ConstantVoltage, Scene, pair, plain
+from ..model import SCALE, Chamber, ConstantPressure, ConstantVoltage, PointKind, Scene, pair, plain
 from ..numerics import SceneError
 from ..plot import plot_fold_curves
 from .fold_continuation import LARGEST_LOAD, ConditionsOver, Followed, Lost, Place, System, follow
-from .point_systems import BREAKDOWN, FOLD, PRESSURE_FOLD
 
 __all__ = ["FoldCurve", "FoldCurves", "TwoParameterPoint", "fold_curves"]
 
@@ -170,9 +169,9 @@ def fold_curves(
     """
     low, high = _check(scene, parameter, within, samples, kinds, largest_ratio)
     if isinstance(scene.loading, ConstantVoltage):
-        control, of = "pressure", {"fold": PRESSURE_FOLD, "breakdown": BREAKDOWN}
+        control, of = "pressure", {"fold": PointKind.pressure_fold, "breakdown": PointKind.breakdown}
     else:
-        control, of = "voltage", {"fold": FOLD, "breakdown": BREAKDOWN}
+        control, of = "voltage", {"fold": PointKind.fold, "breakdown": PointKind.breakdown}
     shares = np.linspace(0.0, 1.0, samples)
     plan = System(of["fold"], ConditionsOver(scene, parameter), (low, high))
     values = [plan.value(w) for w in shares]

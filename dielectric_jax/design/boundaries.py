@@ -86,7 +86,7 @@ def guesses(kind: str, designs: Designs, which: np.ndarray) -> np.ndarray:
     ramps = designs.ramps
     start = ramps.start.apex_stretch[which]
     last = np.maximum(ramps.snaps[which] - 1, 0)
-    snap, load = (v[which, last] for v in (ramps.snap.apex_stretch, ramps.snap.voltage**2))
+    snap, load = (v[which, last] for v in (ramps.snap.apex_stretch, ramps.snap.voltage_squared))
     if kind == START:
         return start[:, None]
     if kind == LANDING_LOST:
@@ -96,7 +96,7 @@ def guesses(kind: str, designs: Designs, which: np.ndarray) -> np.ndarray:
     if kind == REST:
         back = ramps.snap_back.apex_stretch[which, 0]
         return np.stack([start, back], axis=1)
-    folds, at = ramps.folds.apex_stretch[which], ramps.folds.voltage[which] ** 2
+    folds, at = ramps.folds.apex_stretch[which], ramps.folds.voltage_squared[which]
     # the first fold is a maximum, the next a minimum; where they merge it is halfway
     if kind == MERGING:
         return np.stack([start, (folds[:, 0] + folds[:, 1]) / 2, (at[:, 0] + at[:, 1]) / 2], axis=1)

@@ -53,19 +53,19 @@ def begin_of(kind: Kind, ramps: Ramps, which: np.ndarray) -> np.ndarray:
     columns = [ramps.start.apex_stretch[which]]
     for k in range(kind.snaps):
         snap = ramps.snap
-        columns += [snap.apex_stretch[which, k], snap.voltage[which, k] ** 2, ramps.landing.apex_stretch[which, k]]
+        columns += [snap.apex_stretch[which, k], snap.voltage_squared[which, k], ramps.landing.apex_stretch[which, k]]
     broken = ramps.breakdown.apex_stretch[which]
     last = ramps.landing.apex_stretch[which, kind.snaps - 1] if kind.snaps else broken
     columns.append(np.where(np.isfinite(broken), broken, last))
-    columns.append(np.nan_to_num(ramps.breakdown.voltage[which] ** 2, nan=0.01))
+    columns.append(np.nan_to_num(ramps.breakdown.voltage_squared[which], nan=0.01))
     if kind.back:
         # the last minimum of q below the landing, also where q is negative there
-        folds, volume = ramps.folds.apex_stretch[which], ramps.folds.voltage[which] ** 2
+        folds, loads = ramps.folds.apex_stretch[which], ramps.folds.voltage_squared[which]
         below = np.where(folds < columns[3 * kind.snaps][:, None], folds, -np.inf)
         place = np.argmax(below, axis=1)
         rows = np.arange(len(place))
         columns += [np.where(np.isfinite(below[rows, place]), folds[rows, place], np.nan)]
-        columns += [np.nan_to_num(volume[rows, place], nan=-1e-3)]
+        columns += [loads[rows, place]]
     return np.stack(columns, axis=1)
 
 

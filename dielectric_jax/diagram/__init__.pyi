@@ -3,13 +3,12 @@ from .diagrams import Diagram, pressure_volume, voltage_volume
 from .glances import Glance, glance
 from .mesh import hermite
 from .ramp import ENDS
+from .ramps import APEX, ERROR, LISTED, LOAD, PRESSURE, SLOTS, VOLUME, RampArrays, Ramps, Slot, States, ramps_of
 from .regimes import regime_of, regime_of_diagram
 from .scene_batch import SceneBatch
 from .states import check_request, equilibrium, filling
 from .surface_ramps import (
     Curves,
-    Point,
-    Ramps,
     chamber_curves,
     chamber_ramps,
     curves_and_ramps,
@@ -19,20 +18,28 @@ from .surface_ramps import (
     loading_arrays,
     pressure_curves,
     pressure_ramps,
-    ramps_of,
 )
 from .tracing import branch_problem
 
 __all__ = [
+    "APEX",
     "ENDS",
+    "ERROR",
+    "LISTED",
+    "LOAD",
+    "PRESSURE",
+    "SLOTS",
+    "VOLUME",
     "Batch",
     "Curves",
     "Diagram",
     "Glance",
     "MembraneKey",
-    "Point",
+    "RampArrays",
     "Ramps",
     "SceneBatch",
+    "Slot",
+    "States",
     "branch_problem",
     "chamber_curves",
     "chamber_ramps",

@@ -19,6 +19,7 @@ from ..model import (
     SCALE,
     SCANNED_LOAD,
     Chamber,
+    ClosingEquation,
     ConstantPressure,
     ConstantVoltage,
     FoldAhead,
@@ -32,13 +33,13 @@ from ..model import (
     stretch_shares,
 )
 from ..numerics import Code
-from .batch_programs import LEVEL, VOLUME, march_program, new_walks
+from .batch_programs import march_program, new_walks
 from .batch_ramps import RampArrays, assemble, have_others, ramps_on_lines
 from .landings import Landing, folds_ahead, landings
 from .polylines import Polylines
+from .ramps import APEX, LOAD, Ramps, Slot, ramps_of
 from .scene_batch import LANES, Corrected, SceneBatch, calls, padded, pick
 from .states import check_request
-from .surface_ramps import Ramps, ramps_of
 
 __all__ = ["Batch", "condition_of", "continue_scenes", "stacked", "starts"]
 
@@ -169,7 +170,7 @@ def starts(scenes: list[Scene], scene_batch: SceneBatch, tolerance: float) -> Co
     lanes = len(scenes)
     u, rows = np.full((lanes, 3), np.nan), np.zeros((lanes, 3))
     rows[:, 1] = 1.0
-    targets, kinds = np.ones(lanes), np.full(lanes, LEVEL)
+    targets, kinds = np.ones(lanes), np.full(lanes, ClosingEquation.level)
     groups = by_membrane(scenes)
     for i, scene in enumerate(scenes):
         loading = scene.loading
@@ -178,13 +179,13 @@ def starts(scenes: list[Scene], scene_batch: SceneBatch, tolerance: float) -> Co
         elif not isinstance(loading, Chamber):
             raise ValueError(f"`loading` must be a Chamber or a ConstantPressure, but is {loading!r}.")
         elif loading.initial_volume is not None:
-            targets[i], kinds[i] = float(loading.initial_volume), VOLUME
+            targets[i], kinds[i] = float(loading.initial_volume), ClosingEquation.volume
         else:
             targets[i] = float(typing.cast(float, loading.initial_pressure))
     with np.errstate(all="ignore"):
         for key, own in groups.items():
             line = _zero_line(key)
-            for row, kind in ((2, VOLUME), (1, LEVEL)):
+            for row, kind in ((2, ClosingEquation.volume), (1, ClosingEquation.level)):
                 which = own[kinds[own] == kind]
                 place = _first_place(line, row, targets[which])
                 stretch, pressure, _ = np.exp(line(np.nan_to_num(place, nan=line.t[0])))
@@ -371,35 +372,40 @@ def _block(scenes: list[Scene], tolerance: float) -> Batch:
     found = assemble(scene_batch, march.owner, lines, tolerance)
     last = lines.points[np.arange(len(scenes)), np.maximum(march.count - 1, 0), 0] * SCALE[0]
     march.code[(march.code == int(Code.beyond_tolerance)) & (last < locks)] = int(Code.apex_cone)
-    told = ramps_on_lines(scene_batch, march.owner, found, start, march)
+    arrays = ramps_on_lines(scene_batch, march.owner, found, start, march)
     ended = np.isin(march.code, (int(Code.breakdown), int(Code.apex_cone)))
     for key, own in by_membrane(scenes).items():
         alone = ~have_others(key.membrane, own, scene_batch, lines)
-        _settle(scene_batch, key.membrane, own, told, ended[own], alone)
+        _settle(scene_batch, key.membrane, own, arrays, ended[own], alone)
     ends = np.stack([lines.points[:, 0, 0] * SCALE[0], last], axis=1)
-    at_landings = told.events[:, 0, 3:5]
+    at_landings = arrays.events[:, APEX, Slot.landings]
     own = np.repeat(np.arange(len(scenes)), 2)
     loads = scene_batch.limits(np.nan_to_num(at_landings, nan=2.0).ravel(), own)[0].reshape(at_landings.shape)
-    ramps = ramps_of(lambda _: loads, *told[:-1], ends, told.ahead)
+    ramps = ramps_of(lambda _: loads, arrays._replace(reach=ends))
     return Batch(ramps, march.code, found.lines.points * SCALE)
 
 
 def _settle(
-    scene_batch: SceneBatch, membrane: Membrane, own: np.ndarray, told: RampArrays, ended: np.ndarray, alone: np.ndarray
+    scene_batch: SceneBatch,
+    membrane: Membrane,
+    own: np.ndarray,
+    arrays: RampArrays,
+    ended: np.ndarray,
+    alone: np.ndarray,
 ) -> None:
     """Settles in place what the lines of scenes `own`, all of one `membrane`, leave open.
 
     A landing beyond breakdown may lie on any branch of the window. A landing below it decides only where the line is known
     to its end (`ended`) and no other branch lies below breakdown (`alone`).
     """
-    outcome, snaps, events = told.outcome, told.snaps, told.events
+    outcome, snaps, events = arrays.outcome, arrays.snaps, arrays.events
     follows = (snaps[own] > 1) | ((snaps[own] == 1) & (outcome[own] == Outcome.breakdown_on_branch))
     open_ = follows & ~(ended & alone)
     landing = np.isin(outcome[own], (int(Outcome.no_landing), int(Outcome.breakdown_in_snap))) & ~open_
     ends = own[landing]
     if len(ends):
         last = snaps[ends]
-        seen = events[ends, :, 2 + last]
+        seen = events[ends, :, Slot.landings.start - 1 + last]
         folds = events[ends, :, last]
         found = landings(scene_batch, membrane, ends, folds, exact=False)
         # the line's own landing is exact; the scan only has to show the same
@@ -411,15 +417,15 @@ def _settle(
         if len(rest):
             exact = landings(scene_batch, membrane, ends[rest], folds[rest], exact=True)
             outcome[ends[rest[exact.kind == Landing.broken]]] = Outcome.breakdown_in_snap
-            events[ends[rest], :, 2 + last[rest]] = exact.state
+            events[ends[rest], :, Slot.landings.start - 1 + last[rest]] = exact.state
             lost = (exact.kind == Landing.unknown) | (exact.kind == Landing.unbroken)
             open_[np.flatnonzero(landing)[rest[lost]]] = True
         none = (found.kind == Landing.none) & (outcome[ends] == Outcome.breakdown_in_snap)
         open_[np.flatnonzero(landing)[none]] = True  # two ways that contradict each other
     breaks = own[(outcome[own] == Outcome.breakdown_on_branch) & (snaps[own] == 0)]
-    breaks = breaks[told.ahead[breaks] == FoldAhead.unknown]
+    breaks = breaks[arrays.ahead[breaks] == FoldAhead.unknown]
     if len(breaks):
-        at = events[breaks, 0, 5], events[breaks, 3, 5]
-        told.ahead[breaks] = folds_ahead(membrane, pick(scene_batch.condition, breaks), *at)
+        at = events[breaks, APEX, Slot.breakdown], events[breaks, LOAD, Slot.breakdown]
+        arrays.ahead[breaks] = folds_ahead(membrane, pick(scene_batch.condition, breaks), *at)
     lanes = own[open_]
     events[lanes], snaps[lanes], outcome[lanes] = np.nan, 0, Outcome.unresolved

@@ -10,22 +10,27 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..model import SCALE, UNKNOWNS, estimated_error, field_ratio_squared, index_of, integrate_membrane, largest_load
+from ..model import (
+    SCALE,
+    UNKNOWNS,
+    ClosingEquation,
+    estimated_error,
+    field_ratio_squared,
+    index_of,
+    integrate_membrane,
+    largest_load,
+)
 from ..numerics import Code, Steps, Walk, advance, cached_jit
 from .tracing import branch_problem
 
 __all__ = [
-    "BREAKDOWN",
-    "FOLD",
-    "LEVEL",
-    "VOLUME",
     "correct_program",
     "limits_program",
     "march_program",
     "new_walks",
 ]
 
-LEVEL, VOLUME, BREAKDOWN, FOLD = range(4)  # row·u = target; V = target; q = q_b(λa); dq = 0
+
 _PASSES = 4
 _APART = 1e-5  # of points whose tangents tell how fast q turns
 _STEPS = Steps(
@@ -157,7 +162,7 @@ def _settle(membrane, condition, kinds, grid, newton, residual, volume):
     change = left * residual[:2].T, left * jnp.abs(shift), condition.slopes(volume)[1], membrane.prestretch
     error = estimated_error(u, volume, jacobian, sensitivities, *change, relative * contraction)
     rate = jnp.sum(sensitivities[:, 1] * null * _SCALE, axis=0)
-    fold, size = kinds == FOLD, jnp.linalg.norm(step, axis=0)
+    fold, size = kinds == ClosingEquation.fold, jnp.linalg.norm(step, axis=0)
     along = jnp.abs(jnp.sum(move * null, axis=0)) * doubt + _OF_TANGENT * size / jnp.abs(slope)
     of_load = jnp.abs(slope) * along**2 * SCALE[2] / jnp.maximum(jnp.abs(u[2]), 1e-3)
     error = error + jnp.where(fold, of_load, 0.0)
@@ -181,9 +186,11 @@ def correct_program(membrane, condition, u, tangents, slopes, rows, targets, kin
 
     def goal(u, volume, sensitivities):
         broken, slope = _excess_load(membrane, u)
-        value = jnp.where(kinds == VOLUME, volume - targets, jnp.sum(rows * u, axis=0) - targets)
-        gradient = jnp.where(kinds == VOLUME, sensitivities[:, 1], rows) * _SCALE
-        return jnp.where(kinds == BREAKDOWN, broken, value), jnp.where(kinds == BREAKDOWN, slope, gradient)
+        value = jnp.where(kinds == ClosingEquation.volume, volume - targets, jnp.sum(rows * u, axis=0) - targets)
+        gradient = jnp.where(kinds == ClosingEquation.volume, sensitivities[:, 1], rows) * _SCALE
+        return jnp.where(kinds == ClosingEquation.breakdown, broken, value), jnp.where(
+            kinds == ClosingEquation.breakdown, slope, gradient
+        )
 
     def newton(_, state):
         u, tangent, (slope, last_apart, _), last_u, last_g = state[:5]
@@ -199,7 +206,10 @@ def correct_program(membrane, condition, u, tangents, slopes, rows, targets, kin
         doubt = jnp.abs(1 - slope / secant) * jnp.minimum(1.0, jnp.abs(apart / last_apart))
         known = jnp.where(fair, jnp.stack([secant, apart, doubt]), state[2])
         g, gradient = goal(u, shot.volume, sensitivities)
-        g, gradient = jnp.where(kinds == FOLD, tangent[2] / known[0], g), jnp.where(kinds == FOLD, tangent, gradient)
+        g, gradient = (
+            jnp.where(kinds == ClosingEquation.fold, tangent[2] / known[0], g),
+            jnp.where(kinds == ClosingEquation.fold, tangent, gradient),
+        )
         move = -_solve3(jacobian[0], jacobian[1], gradient, jnp.concatenate([value, g[None]]))
         volume = shot.volume + jnp.sum(sensitivities[:, 1] * move * _SCALE, axis=0)
         matrix = jnp.concatenate([jacobian, gradient[None]])
@@ -212,7 +222,7 @@ def correct_program(membrane, condition, u, tangents, slopes, rows, targets, kin
     state = jax.lax.fori_loop(0, rounds, newton, begin)
     u = state[0]
     shot = integrate_membrane(membrane.material, u[0], u[1], u[2], fine)
-    g = jnp.where(kinds == FOLD, 0.0, goal(u, shot.volume, state[7])[0])
+    g = jnp.where(kinds == ClosingEquation.fold, 0.0, goal(u, shot.volume, state[7])[0])
     stretch_change = shot.stretch_change - (membrane.prestretch - u[0])
     residual = jnp.stack([stretch_change, condition.residual(u[1], shot.volume, u[2]), g])
     return _settle(membrane, condition, kinds, grid, (u, state[2], *state[5:]), residual, shot.volume)

@@ -6,9 +6,19 @@ import typing
 import jax
 import numpy as np
 
-from ..model import SCALE, SCANNED_LOAD, ConstantVoltage, FoldAhead, Membrane, Outcome, Scene, cached_scan
-from .batch_programs import BREAKDOWN, LEVEL
+from ..model import (
+    SCALE,
+    SCANNED_LOAD,
+    ClosingEquation,
+    ConstantVoltage,
+    FoldAhead,
+    Membrane,
+    Outcome,
+    Scene,
+    cached_scan,
+)
 from .polylines import Places, Polylines
+from .ramps import LISTED, SLOTS, RampArrays, Slot
 from .scene_batch import Corrected, SceneBatch, pick
 
 __all__ = ["Assembly", "Events", "assemble", "have_others", "ramps_on_lines"]
@@ -56,7 +66,7 @@ def _exact(scene_batch: SceneBatch, owner, lines: Polylines, which: np.ndarray, 
     line, point = np.nonzero(np.isfinite(lines.points[which, :, 0]))
     line = which[line]
     at, way = lines.points[line, point], lines.tangents[line, point]
-    kinds = np.full(len(line), LEVEL)
+    kinds = np.full(len(line), ClosingEquation.level)
     corrected = scene_batch.correct(
         owner[line], at * SCALE, way / SCALE, (way * at).sum(axis=1), kinds, tolerance=100 * tolerance, reach=0.1
     )
@@ -108,7 +118,7 @@ def _find_folds(scene_batch: SceneBatch, owner, lines: Polylines, tolerance: flo
         more = [p.take(np.isin(p.line, again)) for p in (turns.take(~corrected.ok), dips)]
         more = Places(*(np.concatenate([getattr(p, n) for p in more]) for n in _PLACE))
         middle = Places(more.line, more.interval, np.clip(more.share, 0.25, 0.75))
-        kinds = np.full(len(middle), LEVEL)
+        kinds = np.full(len(middle), ClosingEquation.level)
         found = _meet_places(scene_batch, owner, lines, middle, np.full(len(middle), np.nan), kinds, 100 * tolerance)
         ok = np.flatnonzero(found.ok)
         lines, moved = lines.insert(middle.take(ok), found.u[ok] / SCALE, found.tangent[ok])
@@ -172,9 +182,9 @@ def assemble(scene_batch: SceneBatch, owner: np.ndarray, lines: Polylines, toler
     at_load[same, folds.position[of_fold[same]].astype(int)] = np.nan
     zero, none = np.zeros(len(owner)), np.full(len(owner), -1)
     rows = [
-        (q, along, everything, zero, LEVEL, none),
-        (q - broken, along - slope * lines.tangents[..., 0], everything, zero, BREAKDOWN, none),
-        (at_load, along[on], on, own_load[of_fold], LEVEL, of_fold),
+        (q, along, everything, zero, ClosingEquation.level, none),
+        (q - broken, along - slope * lines.tangents[..., 0], everything, zero, ClosingEquation.breakdown, none),
+        (at_load, along[on], on, own_load[of_fold], ClosingEquation.level, of_fold),
     ]
     found, targets, kinds, sets, belongs = [], [], [], [], []
     for k, (values, rates, which, target, kind, of) in enumerate(rows):
@@ -224,24 +234,13 @@ class Assembly:
     sure: np.ndarray
 
 
-_EVENTS = 11  # start, two snaps, two landings, breakdown, two snap-backs and their two landings, rest
 _SNAPS = 2
 _AMBIGUOUS = 1e-6  # a landing this near to breakdown is not told
-_SPECIAL = (6, 5, 3)  # folds, zeros, breakdowns that are told
 
 
 def _values(corrected: Corrected) -> np.ndarray:
-    """λa, p, V, q and error of states, (states, 5)."""
-    return np.stack(
-        [
-            corrected.u[:, 0],
-            corrected.u[:, 1],
-            corrected.volume,
-            corrected.u[:, 2],
-            np.maximum(corrected.error, corrected.spread),
-        ],
-        axis=1,
-    )
+    """States (states, 5), columns as in `States`."""
+    return np.column_stack([corrected.u, corrected.volume, np.maximum(corrected.error, corrected.spread)])
 
 
 def _along_lines(events: Events, start: np.ndarray | None, lines: int, count: int) -> np.ndarray:
@@ -284,7 +283,7 @@ class _Ramp:
         self.of, self.lists, self.limits = of, lists, limits
         self.top = top
         self.main = main
-        self.told = np.full((5, _EVENTS), np.nan)
+        self.events = np.full((5, SLOTS), np.nan)
         self.snaps = 0
         self.broken_at: int | None = None
         self.last = 0.0  # position of the last event of the way up on the first line
@@ -321,8 +320,8 @@ class _Ramp:
             return bool(np.isinf(self.of.sure[self.main]))
         return self.last < self.of.sure[self.main]
 
-    def tell(self, column: int, kind: str, i: int) -> None:
-        self.told[:, column] = self.lists.values[kind][i]
+    def put(self, slot: int, kind: str, i: int) -> None:
+        self.events[:, slot] = self.lists.values[kind][i]
 
     def up(self) -> Outcome:
         """Follows the way up and returns how it ends; then, where it survives, the way down."""
@@ -336,19 +335,19 @@ class _Ramp:
             if first > self.top:
                 return Outcome.unresolved
             if broken is not None and at[1] < at[0]:
-                self.tell(5, "breaks", broken)
+                self.put(Slot.breakdown, "breaks", broken)
                 self.broken_at = broken
                 self.last = max(self.last, float(of.breaks.position[broken]))
                 return self.down(line, position, side)
             if stage == _SNAPS or fold is None:
                 return Outcome.unresolved
-            self.tell(1 + stage, "folds", fold)
+            self.put(Slot.snaps.start + stage, "folds", fold)
             self.snaps += 1
             self.last = max(self.last, float(of.folds.position[fold]))
             landing = self.land(fold, side)
             if landing is None:
                 return Outcome.no_landing  # on this line
-            self.tell(3 + stage, "crossings", landing)
+            self.put(Slot.landings.start + stage, "crossings", landing)
             load, limit = of.folds.corrected.u[fold, 2], self.limits[0, landing]
             if abs(load - limit) <= _AMBIGUOUS * limit:
                 return Outcome.unresolved
@@ -362,25 +361,25 @@ class _Ramp:
         """The way down from the last landing."""
         of = self.of
         if not self.snaps:
-            self.told[:, 10] = self.told[:, 0]
+            self.events[:, Slot.rest] = self.events[:, Slot.start]
             return Outcome.breakdown_on_branch
         self.returns = True
         for stage in range(_SNAPS + 1):
             fold, zero = self.next("folds", line, position, -side), self.next("zeros", line, position, -side)
             at = [-side * e.position[i] if i is not None else np.inf for e, i in ((of.folds, fold), (of.zeros, zero))]
             if zero is not None and at[1] < at[0]:
-                self.tell(10, "zeros", zero)
+                self.put(Slot.rest, "zeros", zero)
                 return Outcome.breakdown_on_branch
             if fold is None and line == self.main and side > 0:  # back at the start
-                self.told[:, 10] = self.told[:, 0]
+                self.events[:, Slot.rest] = self.events[:, Slot.start]
                 return Outcome.breakdown_on_branch
             if fold is None or stage == _SNAPS:
                 return Outcome.unresolved
-            self.tell(6 + stage, "folds", fold)
+            self.put(Slot.snap_backs.start + stage, "folds", fold)
             landing = self.land(fold, -side)
             if landing is None:
                 return Outcome.unresolved
-            self.tell(8 + stage, "crossings", landing)
+            self.put(Slot.landings_back.start + stage, "crossings", landing)
             line, position = int(of.crossings.line[landing]), float(of.crossings.position[landing])
             side = 1 if of.crossings.corrected.tangent[landing, 2] > 0 else -1
         return Outcome.unresolved
@@ -398,18 +397,6 @@ class _Ramp:
         return FoldAhead.fold if fractions[fold] <= SCANNED_LOAD else FoldAhead.none
 
 
-class RampArrays(typing.NamedTuple):
-    """The columns of `chambers.ramps_of` for many scenes, as far as their own lines show."""
-
-    events: np.ndarray
-    folds: np.ndarray
-    zeros: np.ndarray
-    breaks: np.ndarray
-    snaps: np.ndarray
-    outcome: np.ndarray
-    ahead: np.ndarray
-
-
 def ramps_on_lines(
     scene_batch: SceneBatch, owner: np.ndarray, of: Assembly, start: Corrected, ends: typing.Any
 ) -> RampArrays:
@@ -419,12 +406,12 @@ def ramps_on_lines(
     which scenes the line ends where it leaves the window.
     """
     scenes, lists, begin = len(ends.left), _Lists(of), _values(start)
-    told = np.full((scenes, 5, _EVENTS), np.nan)
+    all_events = np.full((scenes, 5, SLOTS), np.nan)
     outcome, snaps = np.full(scenes, int(Outcome.unresolved)), np.zeros(scenes, int)
     ahead = np.full(scenes, int(FoldAhead.unknown))
     stable = start.ok & (start.index == 0)
     unstable = start.ok & ~stable
-    outcome[unstable], told[unstable, :, 0] = int(Outcome.start_unstable), begin[unstable]
+    outcome[unstable], all_events[unstable, :, Slot.start] = int(Outcome.start_unstable), begin[unstable]
     limits = scene_batch.limits(of.crossings.corrected.u[:, 0], owner[of.crossings.line])
     # the last step of a march may leave the window of the stretch: what lies there does not count
     limits[2, of.crossings.corrected.u[:, 0] > ends.limits[owner[of.crossings.line], 1]] = 0.0
@@ -433,20 +420,20 @@ def ramps_on_lines(
     fractions[of.folds.corrected.u[:, 0] > ends.limits[fold, 1]] = np.inf
     for k in np.flatnonzero(stable).tolist():
         ramp = _Ramp(of, lists, k, limits, float(ends.limits[k, 1]))
-        ramp.told[:, 0] = begin[k]
+        ramp.events[:, Slot.start] = begin[k]
         ended = ramp.up()
         if ended is not Outcome.unresolved and ramp.is_sure():
-            told[k], outcome[k], snaps[k] = ramp.told, int(ended), ramp.snaps
+            all_events[k], outcome[k], snaps[k] = ramp.events, int(ended), ramp.snaps
             ahead[k] = int(ramp.fold_ahead(fractions, bool(ends.left[k])))
     begin = np.where(stable[:, None], begin, np.nan)
     marks = [
         _along_lines(events, begin if events is of.zeros else None, scenes, count)
-        for events, count in zip((of.folds, of.zeros, of.breaks), _SPECIAL, strict=True)
+        for events, count in zip((of.folds, of.zeros, of.breaks), LISTED.values(), strict=True)
     ]
     for mark in marks:  # where the start is unstable only the start is known
         mark[~stable] = np.nan
     folds, zeros, breaks = marks
-    return RampArrays(told, folds, zeros, breaks, snaps, outcome, ahead)
+    return RampArrays(all_events, folds, zeros, breaks, snaps, outcome, np.full((scenes, 2), np.nan), ahead)
 
 
 _DENSE = 6, 16, 200  # points on an interval of a line: closer where cells are left, as rows crowd towards lock-up

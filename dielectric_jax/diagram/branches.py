@@ -16,6 +16,7 @@ from ..model import (
     SCANNED_LOAD,
     LoadingCondition,
     Membrane,
+    PointKind,
     Scan,
     Shooting,
     SpecialPoint,
@@ -283,9 +284,9 @@ def _agrees(membrane, curve: Curve, contours, chart: Scan) -> bool:
 def special_record(located: Located, tolerance: float) -> SpecialPoint:
     """The record of a located point."""
     state = states_of(located.point, tolerance)[0]
-    kind = "fold" if located.kind in FOLDS else located.kind
+    kind = PointKind.fold if located.kind in FOLDS else located.kind
     values = {f: getattr(state, f) for f in State.__dataclass_fields__}
-    values["index"] = None if kind == "fold" else state.index
+    values["index"] = None if kind == PointKind.fold else state.index
     values["error_estimate"] = located.error
     if kind == "zero_voltage":
         values |= {"voltage_squared": 0.0, "charge": 0.0, "breakdown_ratio": 0.0}
@@ -325,7 +326,7 @@ class Solved:
 
     def states_at(self, squared: float) -> list[Located]:
         """All states at one value of the control, q or Q², on all branches."""
-        kind = "charge" if self.control == 3 else "load"
+        kind = PointKind.charge if self.control == 3 else PointKind.load
         wanted = [
             (kind, b, int(i), squared) for b, curve in enumerate(self.curves) for i in brackets(curve, kind, squared)
         ]
@@ -354,7 +355,7 @@ class Solved:
         side = 1.0 if curve.points.index[i - 1] == 0 else -1.0  # along which the stable states come to the fold
         point.tangent[0, 2] = side * abs(point.tangent[0, 2])
         position = fold.position - 1e-6 * side
-        return Located("zero_voltage", fold.branch, position, point, float(point.error[0]))
+        return Located(PointKind.zero_voltage, fold.branch, position, point, float(point.error[0]))
 
     def state(self, located: Located) -> State:
         """The record of a located state."""

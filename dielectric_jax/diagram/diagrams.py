@@ -16,6 +16,7 @@ from ..model import (
     ConstantVoltage,
     LoadingCondition,
     Membrane,
+    PointKind,
     PrescribedVolume,
     Ramp,
     Scene,
@@ -237,7 +238,7 @@ def pressure_volume(
     scene = Scene(membrane, ConstantVoltage(voltage), window or Window())
     check_concrete(scene)
     check_surface(surface, membrane)
-    kinds = ("pressure_fold", "breakdown", "hoop_tension_loss")
+    kinds = (PointKind.pressure_fold, PointKind.breakdown, PointKind.hoop_tension_loss)
     solver = _solver(membrane, scene.loading.condition(), surface)
     warm_up(membrane)
     solved, complete = _solve(solver, scene.limits(), kinds, points, tolerance, certify, extend)
@@ -286,8 +287,8 @@ def voltage_volume(
     filling = filling_of(scene, tolerance)
     if filling == (0.0, 0.0):
         return _flat_diagram(scene, limits, points, tolerance)
-    fold = "charge_fold" if isinstance(loading, ChargeControl) else "fold"
-    kinds = (fold, "zero_voltage", "breakdown", "hoop_tension_loss")
+    fold = PointKind.charge_fold if isinstance(loading, ChargeControl) else PointKind.fold
+    kinds = (fold, PointKind.zero_voltage, PointKind.breakdown, PointKind.hoop_tension_loss)
     solver = _solver(scene.membrane, loading.condition(*filling), surface)
     try:
         solved, complete = _solve(solver, limits, kinds, points, tolerance, certify, extend)
@@ -335,9 +336,9 @@ def _flat_diagram(scene: Scene, limits, points: int, tolerance: float) -> Diagra
         **columns, start=Code.window_load, end=Code.window_load, flags=("ends_slack",) if ends_slack else ()
     )
     limit = float(field_on(membrane.breakdown, stretch)) ** 2 / stretch**4
-    marks = [("zero_voltage", 0.0)] if low <= 0 <= high else []
-    marks += [("breakdown", limit)] if limit <= min(high, 1.0) * slack else []
-    marks += [("slack", slack)] if ends_slack else []
+    marks = [(PointKind.zero_voltage, 0.0)] if low <= 0 <= high else []
+    marks += [(PointKind.breakdown, limit)] if limit <= min(high, 1.0) * slack else []
+    marks += [(PointKind.slack, slack)] if ends_slack else []
     special = [_flat_point(membrane, q, kind) for kind, q in sorted(marks, key=lambda m: m[1])]
     return Diagram(
         "voltage-volume", scene, [branch], special, True, tolerance, limits, _up=flat_ramp(special, states[-1])

@@ -20,6 +20,8 @@ from ..model import (
     ConstantVoltage,
     Event,
     Outcome,
+    PointKind,
+    RampEvent,
     Regime,
     Scene,
     SpecialPoint,
@@ -30,6 +32,7 @@ from ..model import (
 from ..numerics import Code, SceneError, cached_jit
 from ..plot import plot_diagram
 from ..surface import ById, Rows, Surface, rows_of
+from .ramps import LOAD
 from .states import check_concrete, check_surface
 from .surface_ramps import Curves, Ramps, curves_and_ramps, filling_volumes
 
@@ -140,7 +143,11 @@ def _voltage_volume(scene: Scene, surface: Surface, curves: Curves, ramps: Ramps
     if not branches:
         raise SceneError(Code.surface_edge, _NOTHING)
     outcome = Outcome(int(ramps.outcome))
-    marks = [("fold", ramps.folds), ("zero_voltage", ramps.zero_voltage), ("breakdown", ramps.breakdowns)]
+    marks = [
+        (PointKind.fold, ramps.folds),
+        (PointKind.zero_voltage, ramps.zero_voltage),
+        (PointKind.breakdown, ramps.breakdowns),
+    ]
     points = [p for kind, found in marks for p in _points(rows, kind, found, branches)]
     events = () if outcome == Outcome.unresolved else tuple(_events(rows, ramps, outcome))
     regime = Regime(int(ramps.regime))
@@ -194,14 +201,14 @@ def _breakdown_load(surface: Surface, apex):
 
 def _states(rows: Rows, found, make=State, **more) -> list:
     """The records of those of some points (arrays of one shape) that are there."""
-    columns = np.array([np.atleast_1d(v) for v in found])
-    # a fold below zero voltage has no voltage, and no place in the diagram
-    apex, pressure, volume, voltage, error = columns[:, np.isfinite(columns[:4]).all(axis=0)]
+    values = np.array([np.atleast_1d(v) for v in found])
+    with np.errstate(invalid="ignore"):
+        # a fold below zero voltage has no place in the picture
+        apex, pressure, q, volume, error = values[:, np.isfinite(values[:4]).all(axis=0) & (values[LOAD] >= 0)]
     count = len(apex)
     if not count:
         return []
     limit = np.asarray(_breakdown_load(rows.surface, np.pad(apex, (0, _MOST - count), mode="edge")))[:count]
-    q = voltage**2
     columns = {"voltage_squared": q, "pressure": pressure, "volume": volume, "apex_stretch": apex}
     columns |= {"breakdown_ratio": np.sqrt(q / limit), "error_estimate": error}
     rest = {"height": np.nan, "charge": np.nan, "index": None} | more
@@ -224,19 +231,19 @@ def _events(rows: Rows, ramps: Ramps, outcome: Outcome) -> typing.Iterator[Event
         for name in ("snap", "landing", "snap_back", "landing_back")
     }
     for start in one["start"]:
-        yield Event("start", "up", start, "start_unstable" if outcome == Outcome.start_unstable else None)
+        yield Event(RampEvent.start, "up", start, "start_unstable" if outcome == Outcome.start_unstable else None)
     for snap, landing in zip(jumps["snap"], jumps["landing"], strict=True):
-        yield from (Event("snap", "up", s) for s in snap)
-        yield from (Event("landing", "up", s) for s in landing)
+        yield from (Event(RampEvent.snap, "up", s) for s in snap)
+        yield from (Event(RampEvent.landing, "up", s) for s in landing)
         if snap and not landing:
-            yield Event("no_landing", "up", snap[0], "no landing")
+            yield Event(RampEvent.no_landing, "up", snap[0], "no landing")
         elif landing and outcome == Outcome.breakdown_in_snap and landing[0].breakdown_ratio >= 1:
-            yield Event("breakdown", "up", landing[0], "breakdown in the snap")
-    yield from (Event("breakdown", "up", s, "breakdown on the branch") for s in one["breakdown"])
+            yield Event(RampEvent.breakdown, "up", landing[0], "breakdown in the snap")
+    yield from (Event(RampEvent.breakdown, "up", s, "breakdown on the branch") for s in one["breakdown"])
     for snap, landing in zip(jumps["snap_back"], jumps["landing_back"], strict=True):
-        yield from (Event("snap_back", "down", s) for s in snap)
-        yield from (Event("landing", "down", s) for s in landing)
-    yield from (Event("end", "down", s, "zero voltage") for s in one["rest"])
+        yield from (Event(RampEvent.snap_back, "down", s) for s in snap)
+        yield from (Event(RampEvent.landing, "down", s) for s in landing)
+    yield from (Event(RampEvent.end, "down", s, "zero voltage") for s in one["rest"])
 
 
 @cached_jit
@@ -292,7 +299,7 @@ def _extremes(surface: Surface, branch: Branch, number: int) -> typing.Iterator[
     pressure, volume, error, ratio = map(np.asarray, _on_surface(surface, met, np.full_like(met, q)))
     with np.errstate(invalid="ignore"):
         found = np.isfinite(pressure) & (np.abs(met - packed) < _NEAR)
-    for kind, row in (("fold", 0), ("breakdown", 1)):
+    for kind, row in ((PointKind.fold, 0), (PointKind.breakdown, 1)):
         for k in np.flatnonzero(found[row]):
             a, p, v, e, r = (float(values[row, k]) for values in (met, pressure, volume, error, ratio))
             yield SpecialPoint(float(q), p, v, a, np.nan, np.nan, r, None, e, kind=kind, branch=number)

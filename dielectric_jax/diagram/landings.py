@@ -16,6 +16,7 @@ import numpy as np
 from ..model import (
     LOAD_PANELS,
     SCANNED_LOAD,
+    ClosingEquation,
     ConstantVoltage,
     FoldAhead,
     LoadingCondition,
@@ -26,7 +27,7 @@ from ..model import (
     map_nodes,
 )
 from ..surface import ById
-from .batch_programs import LEVEL
+from .ramps import LOAD, VOLUME
 from .scene_batch import Corrected, SceneBatch, pick
 
 __all__ = ["Landing", "Landings", "folds_ahead", "landings"]
@@ -284,17 +285,15 @@ def _between(field: _Field, line: _Line, k: int, i: int) -> list[float]:
 
 
 def _nearest(corrected: Corrected, fraction: np.ndarray, volume: float) -> np.ndarray | None:
-    """λa, p, V, q, error of the stable state in the window nearest in volume above `volume`; None where there is none."""
+    """The stable state (columns as in `States`) in the window nearest in volume above `volume`; None where there is none."""
     good = np.flatnonzero((corrected.index == 0) & (corrected.volume > volume) & (fraction <= SCANNED_LOAD))
     if not len(good):
         return None
     i = good[np.argmin(corrected.volume[good])]
     return np.array(
         [
-            corrected.u[i, 0],
-            corrected.u[i, 1],
+            *corrected.u[i],
             corrected.volume[i],
-            corrected.u[i, 2],
             max(corrected.error[i], corrected.spread[i]),
         ]
     )
@@ -314,7 +313,7 @@ def landings(
     seeds: list[tuple[int, np.ndarray]] = []  # of the snaps that exact states settle
     for i in range(0, count, _TOGETHER):
         part = np.arange(i, min(i + _TOGETHER, count))
-        line = _line(field, pick(scene_batch.condition, which[part]), folds[part, 0], folds[part, 3])
+        line = _line(field, pick(scene_batch.condition, which[part]), folds[part, 0], folds[part, LOAD])
         clear, lands, found.guess[part] = _clear(line, field, folds[part, 0])
         found.kind[part[clear & ~lands]] = Landing.none
         for k in np.flatnonzero(~clear | (exact & lands)):
@@ -324,7 +323,7 @@ def landings(
         found.kind[part] = np.where(clear & lands, Landing.broken, found.kind[part])
     there = np.flatnonzero(found.kind == Landing.broken)
     if len(there):
-        ratio = folds[there, 3] / scene_batch.limits(found.guess[there, 0], which[there])[0]
+        ratio = folds[there, LOAD] / scene_batch.limits(found.guess[there, 0], which[there])[0]
         found.kind[there[ratio < 1]] = Landing.unbroken
         about = np.abs(ratio - 1) < _ABOUT
         found.kind[there[about]] = Landing.unknown
@@ -340,9 +339,9 @@ def _settle_by_states(
     """Settles in place the landings of snaps by exact states at the candidates (λa, p) of each."""
     snap = np.repeat([k for k, _ in seeds], [len(c) for _, c in seeds]).astype(int)
     if len(snap):
-        load, lanes = folds[snap, 3], which[snap]
+        load, lanes = folds[snap, LOAD], which[snap]
         u = np.column_stack([np.concatenate([c for _, c in seeds]), load])
-        rows, kinds = np.tile([0.0, 0.0, 1.0], (len(snap), 1)), np.full(len(snap), LEVEL)
+        rows, kinds = np.tile([0.0, 0.0, 1.0], (len(snap), 1)), np.full(len(snap), ClosingEquation.level)
         corrected = scene_batch.correct(lanes, u, rows, load, kinds, tolerance=_TOLERANCE, reach=_REACH)
         again = np.flatnonzero(~corrected.ok)  # once more from where Newton was
         if len(again):
@@ -360,7 +359,7 @@ def _settle_by_states(
             continue
         state = None
         if corrected.ok[own].all():
-            state = _nearest(Corrected(*(v[own] for v in corrected)), fraction[own], float(folds[k, 2]))
+            state = _nearest(Corrected(*(v[own] for v in corrected)), fraction[own], float(folds[k, VOLUME]))
         if state is None:
             # a clear landing whose state is another is a contradiction
             certain = corrected.ok[own].all() and not np.isfinite(found.guess[k, 0])
@@ -368,7 +367,7 @@ def _settle_by_states(
             continue
         found.state[k] = state
         limit = scene_batch.limits(state[:1], which[k : k + 1])[0, 0]
-        found.kind[k] = Landing.broken if folds[k, 3] >= limit else Landing.unbroken
+        found.kind[k] = Landing.broken if folds[k, LOAD] >= limit else Landing.unbroken
 
 
 def folds_ahead(membrane: Membrane, condition: LoadingCondition, apex: np.ndarray, load: np.ndarray) -> np.ndarray:

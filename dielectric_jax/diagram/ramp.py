@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from ..model import SCANNED_LOAD, Event, Outcome, Ramp, SpecialPoint, State, largest_load
+from ..model import SCANNED_LOAD, Event, Outcome, PointKind, Ramp, RampEvent, SpecialPoint, State, largest_load
 from .states import states_of
 
 __all__ = ["ENDS", "build_ramp", "build_way_back", "flat_ramp"]
@@ -52,7 +52,7 @@ def _walk(solved, here, rising: bool):
     if closed:
         behind = [p for p in solved.located if p.branch == here.branch and p not in ahead and p is not here]
         ahead += sorted(behind, key=lambda p: p.position * side)
-    stops = (solved.fold_kind, "breakdown" if rising else "zero_voltage")
+    stops = (solved.fold_kind, PointKind.breakdown if rising else PointKind.zero_voltage)
     for p in ahead:
         if p.kind in stops and p is not here:
             return p.kind, p, side
@@ -94,35 +94,35 @@ def _follow(solved, here, rising: bool, events: list, direction: str):
         kind, stop, side = _walk(solved, last, rising)
         if kind == "window":
             state = _end_of(solved, last, side)
-            events.append(Event("end", direction, state, "window"))
+            events.append(Event(RampEvent.end, direction, state, "window"))
             return state, "window", landing, last
         state = solved.state(stop)
-        if kind == "breakdown":
-            events.append(Event("breakdown", direction, state, "breakdown on the branch"))
+        if kind == PointKind.breakdown:
+            events.append(Event(RampEvent.breakdown, direction, state, "breakdown on the branch"))
             return state, "breakdown on the branch", landing, last
         if kind == "zero_voltage":
-            events.append(Event("end", direction, state, "zero voltage"))
+            events.append(Event(RampEvent.end, direction, state, "zero voltage"))
             return state, "zero voltage", landing, last
         held = state
         events.append(Event(jump, direction, state))
         landed = _land(solved, stop, side)
         if landed is None:
-            events.append(Event("no_landing", direction, state, "no landing"))
+            events.append(Event(RampEvent.no_landing, direction, state, "no landing"))
             return held, "no landing", landing, None
         state = solved.state(landed)
-        events.append(Event("landing", direction, state))
+        events.append(Event(RampEvent.landing, direction, state))
         landing = state
         if rising and state.breakdown_ratio >= 1:
-            events.append(Event("breakdown", direction, state, "breakdown in the snap"))
+            events.append(Event(RampEvent.breakdown, direction, state, "breakdown in the snap"))
             return held, "breakdown in the snap", landing, None
         last = landed
-    events.append(Event("end", direction, held, "too many jumps"))
+    events.append(Event(RampEvent.end, direction, held, "too many jumps"))
     return held, "too many jumps", landing, None
 
 
 def build_ramp(solved, initial_volume: float | None) -> tuple[Ramp, Ramp | None]:
     """The way up from zero voltage and, where there is an unbroken state to come back from, the way down."""
-    zeros = [p for p in solved.located if p.kind == "zero_voltage"]
+    zeros = [p for p in solved.located if p.kind == PointKind.zero_voltage]
     if initial_volume is not None:
         start = min(zeros, key=lambda p: abs(p.point.volume[0] / initial_volume - 1), default=None)
         if start is None or not abs(start.point.volume[0] / initial_volume - 1) < 1e-5:
@@ -135,8 +135,8 @@ def build_ramp(solved, initial_volume: float | None) -> tuple[Ramp, Ramp | None]
         return Ramp((), None, "no state at zero voltage in the window"), None
     first = solved.state(start)
     if first.index != 0:
-        return Ramp((Event("start", "up", first, "start_unstable"),), None, "start_unstable"), None
-    events = [Event("start", "up", first)]
+        return Ramp((Event(RampEvent.start, "up", first, "start_unstable"),), None, "start_unstable"), None
+    events = [Event(RampEvent.start, "up", first)]
     state, reason, landing, last = _follow(solved, start, True, events, "up")
     up = Ramp(tuple(events), _strain(state, first), reason)
     down = None
@@ -157,7 +157,7 @@ def build_ramp(solved, initial_volume: float | None) -> tuple[Ramp, Ramp | None]
 
 
 def _way_back(solved, here) -> Ramp:
-    events = [Event("start", "down", solved.state(here))]
+    events = [Event(RampEvent.start, "down", solved.state(here))]
     _follow(solved, here, False, events, "down")
     return Ramp(tuple(events))
 
@@ -181,13 +181,13 @@ def build_way_back(solved, start: State) -> Ramp:
 
 def flat_ramp(special: list[SpecialPoint], last: State) -> Ramp:
     """The ramp of a flat film: it stays flat until it breaks down or goes slack."""
-    start = next((p for p in special if p.kind == "zero_voltage"), None)
+    start = next((p for p in special if p.kind == PointKind.zero_voltage), None)
     if start is None:
         return Ramp((), None, "no state at zero voltage in the window")
-    events = [Event("start", "up", start)]
-    stop = next((p for p in special if p.kind in ("breakdown", "slack")), None)
-    if stop is not None and stop.kind == "breakdown":
-        events.append(Event("breakdown", "up", stop, "breakdown on the branch"))
+    events = [Event(RampEvent.start, "up", start)]
+    stop = next((p for p in special if p.kind in (PointKind.breakdown, PointKind.slack)), None)
+    if stop is not None and stop.kind == PointKind.breakdown:
+        events.append(Event(RampEvent.breakdown, "up", stop, "breakdown on the branch"))
         return Ramp(tuple(events), 0.0, "breakdown on the branch")
-    events.append(Event("end", "up", stop or last, "window" if stop is None else "slack"))
+    events.append(Event(RampEvent.end, "up", stop or last, "window" if stop is None else "slack"))
     return Ramp(tuple(events), 0.0, events[-1].reason)

@@ -12,13 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..model import largest_load
+from ..model import ClosingEquation, largest_load
 from ..surface import ROWS, Conditions, Rows, Surface
+from .ramps import LISTED
 
 __all__ = [
-    "BREAKDOWN",
-    "FOLD",
-    "LEVEL",
     "ContourOnRows",
     "Events",
     "Marks",
@@ -28,9 +26,8 @@ __all__ = [
 ]
 
 _STENCIL = 14  # rows that a polynomial runs through; the error is what all but the outer two would change
-FOLD, LEVEL, BREAKDOWN = 0, 1, 2  # kinds of events
-_FOLDS, _ZEROS, _BREAKS = 6, 5, 3  # that are listed
-_KINDS = np.repeat([FOLD, LEVEL, BREAKDOWN], [_FOLDS, _ZEROS, _BREAKS])
+_FOLDS, _ZEROS, _BREAKS = LISTED.values()
+_KINDS = np.repeat([ClosingEquation.fold, ClosingEquation.level, ClosingEquation.breakdown], [_FOLDS, _ZEROS, _BREAKS])
 _DIPS = 3
 _AMBIGUOUS = 1e-6  # two folds whose loads differ by less than this share are not told apart
 _OF_STRETCH = 0.2  # weight of the relative error of λa − λ0 at a fold beside that of its load
@@ -97,13 +94,13 @@ class ContourOnRows(eqx.Module):
         return values @ _FULL.T, values @ _INNER.T, scale, lambda x: middle + _STENCIL / 2 * x
 
     def correct(self, row, kind, target):
-        """The event that begins at a row: FOLD of q, LEVEL q = target, or BREAKDOWN q = q_b(λa).
+        """The event that begins at a row: ClosingEquation.fold of q, ClosingEquation.level q = target, or ClosingEquation.breakdown q = q_b(λa).
 
         Gives its place in rows, q and V there, and the error of both, for folds a fifth of that of λa − λ0 too; the error is
         infinite where Newton ends elsewhere.
         """
         (q_all, v_all), (q_less, v_less), scale, place_of = self._polynomials(row)
-        fold = kind == FOLD
+        fold = kind == ClosingEquation.fold
 
         def broken(x):
             return self.rows.surface.breakdown_load(self.rows.apex_at(place_of(x))) / scale
@@ -111,8 +108,8 @@ class ContourOnRows(eqx.Module):
         def function(coefficients, x):
             value, slope, bend = _horner(coefficients, x)
             limit, limit_slope = jax.jvp(broken, (x,), (jnp.ones_like(x),))
-            limit = jnp.where(kind == BREAKDOWN, limit, target / scale)
-            limit_slope = jnp.where(kind == BREAKDOWN, limit_slope, 0.0)
+            limit = jnp.where(kind == ClosingEquation.breakdown, limit, target / scale)
+            limit_slope = jnp.where(kind == ClosingEquation.breakdown, limit_slope, 0.0)
             return jnp.where(fold, slope, value - limit), jnp.where(fold, bend, slope - limit_slope)
 
         def newton(_, x):
@@ -125,10 +122,12 @@ class ContourOnRows(eqx.Module):
         (q, q_slope, _), (v, v_slope, _) = _horner(q_all, x), _horner(v_all, x)
         # what two rows less would change, of the place and at it
         shift = jnp.abs((function(q_less, x)[0] - value) / slope) + jnp.abs(value / slope)
-        q_error = jnp.abs(_horner(q_less, x)[0] - q) + jnp.where(kind == BREAKDOWN, jnp.abs(q_slope) * shift, 0.0)
+        q_error = jnp.abs(_horner(q_less, x)[0] - q) + jnp.where(
+            kind == ClosingEquation.breakdown, jnp.abs(q_slope) * shift, 0.0
+        )
         v_error = jnp.abs(_horner(v_less, x)[0] - v) + jnp.abs(v_slope) * shift
-        q = jnp.where(kind == LEVEL, target, q * scale)
-        q_error = jnp.where(kind == LEVEL, 0.0, q_error * scale)
+        q = jnp.where(kind == ClosingEquation.level, target, q * scale)
+        q_error = jnp.where(kind == ClosingEquation.level, 0.0, q_error * scale)
         relative = jnp.maximum(q_error / jnp.maximum(jnp.abs(q), 1e-3), v_error / jnp.maximum(jnp.abs(v), 1e-3))
         # a stiff chamber holds V at its fold, but not λa, which the area strain is made of
         apex, apex_slope = jax.jvp(lambda x: self.rows.apex_at(place_of(x)), (x,), (jnp.ones_like(x),))
@@ -244,7 +243,7 @@ class Marks(eqx.Module):
 
         rows, lands = jax.vmap(jump)(folds.place, folds.load, peak)
         lands &= folds.seen()
-        jumps = _events(contour, rows, lands, jnp.full(_FOLDS, LEVEL), folds.load)
+        jumps = _events(contour, rows, lands, jnp.full(_FOLDS, ClosingEquation.level), folds.load)
         # a jump without landing passes all that lies that way
         low, high = (jnp.where(peak, a, b) for a, b in ((folds.place, jumps.place), (jumps.place, folds.place)))
         low = jnp.where(peak | lands, low, -jnp.inf)
@@ -270,9 +269,9 @@ class Marks(eqx.Module):
 
 
 def meet_on_surface(surface: Surface, condition: Conditions, kind, target, apex, load):
-    """An event met by Newton on the surface itself from a start close by: (λa, p, V, q), and the size of the last move.
+    """An event met by Newton on the surface itself from a start close by: (λa, p, q, V), and the size of the last move.
 
-    FOLD of q along the loading's contour, LEVEL q = target, or BREAKDOWN q = q_b(λa).
+    ClosingEquation.fold of q along the loading's contour, ClosingEquation.level q = target, or ClosingEquation.breakdown q = q_b(λa).
     """
     material = surface.membrane.material
 
@@ -289,7 +288,11 @@ def meet_on_surface(surface: Surface, condition: Conditions, kind, target, apex,
         size = jax.lax.stop_gradient(jnp.abs(by_gas[1] * by_q[1])) + 1e-300
         fold = (by_gas[0] * by_q[1] - by_gas[1] * by_q[0]) / size
         level = (q - target) / jax.lax.stop_gradient(by_q[1])
-        last = jnp.where(kind == FOLD, fold, jnp.where(kind == LEVEL, level, q / surface.breakdown_load(x[0]) - 1))
+        last = jnp.where(
+            kind == ClosingEquation.fold,
+            fold,
+            jnp.where(kind == ClosingEquation.level, level, q / surface.breakdown_load(x[0]) - 1),
+        )
         return jnp.stack([gas, last])
 
     def newton(_, known):
@@ -302,4 +305,4 @@ def meet_on_surface(surface: Surface, condition: Conditions, kind, target, apex,
     start = jnp.stack([apex, load / largest_load(material, apex)])
     x, size = jax.lax.fori_loop(0, 2, newton, (start, jnp.asarray(jnp.inf)))
     p, v, q = state(x)
-    return jnp.stack([x[0], p, v, q]), jnp.where(jnp.abs(x[0] - apex) < 0.1, size, jnp.inf)
+    return jnp.stack([x[0], p, q, v]), jnp.where(jnp.abs(x[0] - apex) < 0.1, size, jnp.inf)

@@ -7,10 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..model import Outcome
+from ..model import ClosingEquation, Outcome
 from ..numerics import cached_jit
 from ..surface import ROWS, Conditions, Rows, Surface
-from .row_points import BREAKDOWN, FOLD, LEVEL, ContourOnRows, Events, Marks, first_place, last_place, meet_on_surface
+from .ramps import APEX, LOAD, SLOTS, Slot
+from .row_points import ContourOnRows, Events, Marks, first_place, last_place, meet_on_surface
 
 __all__ = ["corrector_program", "ramp_program", "snap_program"]
 
@@ -128,7 +129,7 @@ def _ramp(rows: Rows, condition: Conditions, start: Events, q, v, found, again, 
         row = jnp.where(there, events.place, 0.0).astype(int)
         error = events.error + rows.surface.error_bound(apex, events.load) + rows.error[row] + _ULP * ROWS
         error = jnp.where(jnp.isnan(error), jnp.inf, error)
-        values = jnp.stack([apex, condition.pressure(events.volume), events.volume, events.load])
+        values = jnp.stack([apex, condition.pressure(events.volume), events.load, events.volume])
         values = jnp.where(there & (error < _MOST_ERROR), values, jnp.nan)
         return jnp.concatenate([values, jnp.where(there, error, jnp.nan)[None]])
 
@@ -149,7 +150,7 @@ def ramp_program(rows: Rows, start: Events, conditions: Conditions, q, v, found,
 
 
 def _snap(rows: Rows, condition: Conditions, start: Events, q, v, found, again):
-    """The start and the first fold of one loading, (λa, p, V, q, error) each, met on the surface; NaN where not decided.
+    """The start and the first fold of one loading, columns as in `States`, found on the surface; NaN where not decided.
 
     Decided is a contour that rises from its start on plain rows to a maximum, without another dip on the way.
     """
@@ -159,19 +160,19 @@ def _snap(rows: Rows, condition: Conditions, start: Events, q, v, found, again):
     rise = q[1:] - q[:-1]
     row, turns = first_place((at[1:-1] > begin) & (at[1:-1] < last) & (rise[:-1] > 0) & (rise[1:] <= 0))
     row = row + 1
-    place, load, _, error = contour.correct(row, FOLD, 0.0)
+    place, load, _, error = contour.correct(row, ClosingEquation.fold, 0.0)
     way = (at[:-1] > begin) & (at[:-1] < row)
     # a slow rise amid faster ones may hide two folds
     slow = way[1:-1] & (rise[1:-1] < rise[:-2]) & (rise[1:-1] < rise[2:]) & (at[1:-2] < row - 1)
     fair = start.seen() & turns & (q[begin + 1] > 0) & ~jnp.any(slow) & (error < _MOST_ERROR)
-    met, size = meet_on_surface(rows.surface, condition, FOLD, 0.0, rows.apex_at(place), load)
-    bound = rows.surface.error_bound(met[0], met[3]) + jnp.where(size < 1e-6, size**2, jnp.inf)
+    met, size = meet_on_surface(rows.surface, condition, ClosingEquation.fold, 0.0, rows.apex_at(place), load)
+    bound = rows.surface.error_bound(met[APEX], met[LOAD]) + jnp.where(size < 1e-6, size**2, jnp.inf)
     fair &= bound < _MOST_ERROR
     apex = rows.apex_at(start.place)
     zero = rows.surface.error_bound(apex, 0.0) + start.error
     pressure = condition.pressure(start.volume)
     return jnp.where(
-        fair, jnp.stack([jnp.stack([apex, pressure, start.volume, 0.0 * apex, zero]), jnp.append(met, bound)]), jnp.nan
+        fair, jnp.stack([jnp.stack([apex, pressure, 0.0 * apex, start.volume, zero]), jnp.append(met, bound)]), jnp.nan
     )
 
 
@@ -181,9 +182,12 @@ def snap_program(rows: Rows, start: Events, conditions: Conditions, q, v, found,
     return jax.vmap(_snap, in_axes=(None, 0, 0, 1, 1, 1, 1))(rows, conditions, start, q, v, found, again)
 
 
-# the events of a ramp: start, two snaps, two landings, breakdown, two snap-backs and their two landings, rest
-_KINDS = np.array([LEVEL, FOLD, FOLD, LEVEL, LEVEL, BREAKDOWN, FOLD, FOLD, LEVEL, LEVEL, LEVEL])
-_JUMPS, _FROM = np.array([3, 4, 8, 9]), np.array([1, 2, 6, 7])
+_KINDS = np.full(SLOTS, ClosingEquation.level)
+_KINDS[Slot.snaps] = _KINDS[Slot.snap_backs] = ClosingEquation.fold
+_KINDS[Slot.breakdown] = ClosingEquation.breakdown
+_SLOT = np.arange(SLOTS)
+_JUMPS = np.concatenate([_SLOT[Slot.landings], _SLOT[Slot.landings_back]])
+_FROM = np.concatenate([_SLOT[Slot.snaps], _SLOT[Slot.snap_backs]])
 
 
 @cached_jit
@@ -192,11 +196,11 @@ def corrector_program(surface: Surface, conditions: Conditions, told):
 
     def one(condition, told):
         def meet_all(_, told):
-            targets = jnp.zeros(len(_KINDS)).at[_JUMPS].set(told[3, _FROM])
+            targets = jnp.zeros(len(_KINDS)).at[_JUMPS].set(told[LOAD, _FROM])
             correct = jax.vmap(lambda *v: meet_on_surface(surface, condition, *v))
-            found, size = correct(jnp.asarray(_KINDS), targets, told[0], told[3])
-            bound = surface.error_bound(found[:, 0], found[:, 3]) + jnp.where(size < 1e-6, size**2, jnp.inf)
-            return jnp.concatenate([found, jnp.where(jnp.isnan(told[0]), jnp.nan, bound)[:, None]], axis=1).T
+            found, size = correct(jnp.asarray(_KINDS), targets, told[APEX], told[LOAD])
+            bound = surface.error_bound(found[:, APEX], found[:, LOAD]) + jnp.where(size < 1e-6, size**2, jnp.inf)
+            return jnp.concatenate([found, jnp.where(jnp.isnan(told[APEX]), jnp.nan, bound)[:, None]], axis=1).T
 
         return jax.lax.fori_loop(0, 2, meet_all, told)  # first the folds, then the jumps from them
 

@@ -6,8 +6,8 @@ import typing
 import jax
 import numpy as np
 
-from ..model import CONTRACTION, SCALE, LoadingCondition, Membrane, difficulty
-from .batch_programs import FOLD, correct_program, limits_program
+from ..model import CONTRACTION, SCALE, ClosingEquation, LoadingCondition, Membrane, difficulty
+from .batch_programs import correct_program, limits_program
 
 __all__ = ["LANES", "Corrected", "SceneBatch"]
 
@@ -122,7 +122,7 @@ class SceneBatch:
 
         def run(now, u, grid):
             own, lanes = which[now], len(now)
-            nothing = np.zeros((3, lanes)), np.zeros(lanes), np.full(lanes, FOLD)
+            nothing = np.zeros((3, lanes)), np.zeros(lanes), np.full(lanes, ClosingEquation.fold)
             given = tangents[now].T, slopes[now], *nothing, _ROUNDS[1], grid
             return correct_program(pick(self.membrane, own), pick(self.condition, own), u[now].T, *given)
 

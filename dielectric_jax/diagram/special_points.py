@@ -12,7 +12,7 @@ import dataclasses
 import numpy as np
 from scipy.optimize import root_scalar
 
-from ..model import SCALE, Points
+from ..model import SCALE, PointKind, Points
 from .mesh import Curve, between, hermite, scaled, solve_between
 from .surface_contours import OnSurface
 
@@ -29,24 +29,28 @@ __all__ = [
 ]
 
 
-FOLDS = {"pressure_fold": 1, "fold": 2, "charge_fold": 3}  # and the column of the control that turns there
+FOLDS = {
+    PointKind.pressure_fold: 1,
+    PointKind.fold: 2,
+    PointKind.charge_fold: 3,
+}  # and the column of the control that turns there
 
 
-def event_values(kind: str, points: Points, target: float = 0.0) -> np.ndarray:
+def event_values(kind: PointKind, points: Points, target: float = 0.0) -> np.ndarray:
     """The function of an event on points (lanes,): it vanishes at the event."""
     if kind in FOLDS:
         return points.control_slope(FOLDS[kind])
-    if kind == "zero_voltage":
+    if kind == PointKind.zero_voltage:
         return points.u[2] / 0.02
-    if kind == "load":
+    if kind == PointKind.load:
         return (points.u[2] - target) / 0.02
-    if kind == "charge":
+    if kind == PointKind.charge:
         return (points.control(3) - target) / 0.02
-    if kind == "breakdown":
+    if kind == PointKind.breakdown:
         return points.u[2] * points.field - 1
-    if kind == "hoop_tension_loss":
+    if kind == PointKind.hoop_tension_loss:
         return points.hoop
-    raise ValueError(f"`kind` must be the name of an event, but is {kind!r}.")
+    raise ValueError(f"`kind` must be a PointKind with a test function, but is {kind!r}.")
 
 
 def control_line(points: Points, column: int):
@@ -56,7 +60,7 @@ def control_line(points: Points, column: int):
     return points.control(3) / SCALE[2], points.control_slope(3) * points.charge_per_voltage**2
 
 
-def brackets(curve: Curve, kind: str, target: float = 0.0) -> np.ndarray:
+def brackets(curve: Curve, kind: PointKind, target: float = 0.0) -> np.ndarray:
     """Indices i with a sign change of the event function between points i and i + 1."""
     f = event_values(kind, curve.points, target)
     with np.errstate(invalid="ignore"):
@@ -73,14 +77,14 @@ _CLOSE, _EXACT, _SMALL = 1e-6, 1e-10, 2e-7
 class Located:
     """One root on a branch: its kind, the arclength of the branch there, the state (one lane), its error estimate."""
 
-    kind: str
+    kind: PointKind
     branch: int
     position: float
     point: Points
     error: float
 
 
-def fold_events(kind: str, solver, curve: Curve, tolerance: float) -> Curve:
+def fold_events(kind: PointKind, solver, curve: Curve, tolerance: float) -> Curve:
     """The curve with points added where the control on one interval has a hidden pair of folds."""
     for _ in range(3):
         x, t = control_line(curve.points, FOLDS[kind])
@@ -120,9 +124,9 @@ def locate(solver, curves: list[Curve], wanted: list[tuple], tolerance: float, *
     found, missed = _locate(solver.shooting, curves, shot, tolerance, near)
     for w, root in near.items():
         if w in found:
-            column = 1 if w[0] == "pressure_fold" else 2
+            column = 1 if w[0] == PointKind.pressure_fold else 2
             seen, exact = (
-                r.point.volume[0] if w[0] == "zero_voltage" else r.point.u[column, 0] for r in (root, found[w])
+                r.point.volume[0] if w[0] == PointKind.zero_voltage else r.point.u[column, 0] for r in (root, found[w])
             )
             found[w].error = max(found[w].error, abs(float(seen - exact)) / max(abs(float(exact)), 1e-3))
         elif not certify:
@@ -133,7 +137,7 @@ def locate(solver, curves: list[Curve], wanted: list[tuple], tolerance: float, *
 def _with_index(curve: Curve, interval: int, root: Located, control: int) -> Points:
     """The point of a root with what its neighbour on the same side of any fold knows: index and least hoop tension."""
     ends = curve.points.take(slice(interval, interval + 2))
-    same = root.point.tangent[0, control] * ends.tangent[0, control] > 0 or "fold" in root.kind
+    same = root.point.tangent[0, control] * ends.tangent[0, control] > 0 or root.kind in FOLDS
     return dataclasses.replace(root.point, index=ends.index[[0 if same else 1]], hoop=ends.hoop[[0 if same else 1]])
 
 
@@ -143,7 +147,7 @@ def _locate(solver, curves, wanted, tolerance, near: dict):
     A given load is a row of Newton's system and takes one solve; the other events, and a load that this fails for, take
     the secant method.
     """
-    loads = [w for w in wanted if w[0] in ("zero_voltage", "load")]
+    loads = [w for w in wanted if w[0] in (PointKind.zero_voltage, PointKind.load)]
     rest = [w for w in wanted if w not in loads]
     with concurrent.futures.ThreadPoolExecutor(1) as pool:
         job = pool.submit(_locate_loads, solver, curves, loads, tolerance)
@@ -164,7 +168,7 @@ def _hermite_roots(x0, x1, t0, t1, gap, target) -> np.ndarray:
     return (low + high) / 2
 
 
-def _predict(curve: Curve, kind: str, interval: int, target: float):
+def _predict(curve: Curve, kind: PointKind, interval: int, target: float):
     """Root and slope, in shares of the interval, of the cubic through the event function at four neighbours.
 
     An event function may be a least value that changes from one place of the membrane to another on the interval: the root
@@ -199,7 +203,7 @@ def _predict(curve: Curve, kind: str, interval: int, target: float):
     return chord if centred is None else root(centred)
 
 
-def _fold_share(curve: Curve, kind: str, interval: int) -> tuple[float, float] | None:
+def _fold_share(curve: Curve, kind: PointKind, interval: int) -> tuple[float, float] | None:
     """Share of the interval at which the control turns, and the slope of the tangent's component there by the share.
 
     From ten neighbours; None where they do not run one way.
@@ -294,14 +298,14 @@ def _locate_roots(solver, curves, wanted, tolerance, near: dict):
     f_low, f_high = values(ends.take(first), lanes), values(ends.take(first + 1), lanes)
     share, slope = np.array([_predict(curves[b], kind, i, target) for kind, b, i, target in wanted]).T
     for n, (kind, branch, i, _) in enumerate(wanted):
-        if "fold" in kind and (better := _fold_share(curves[branch], kind, i)) is not None:
+        if kind in FOLDS and (better := _fold_share(curves[branch], kind, i)) is not None:
             share[n], slope[n] = better
         if wanted[n] in near:
             share[n] = (near[wanted[n]].position - curves[branch].position[i]) / gap[n]
     last, f_last = np.full(len(wanted), np.nan), np.full(len(wanted), np.nan)
     change = np.full(len(wanted), np.inf)
     # a least value along the membrane has kinks: its neighbours may tell nothing
-    smooth = np.array([kind != "hoop_tension_loss" and len(curves[b].points) >= 4 for kind, b, _, _ in wanted])
+    smooth = np.array([kind != PointKind.hoop_tension_loss and len(curves[b].points) >= 4 for kind, b, _, _ in wanted])
     trials: list[list[Points]] = [[] for _ in wanted]
     active = lanes
     for _ in range(_ROUNDS):
@@ -357,18 +361,18 @@ def _locate_roots(solver, curves, wanted, tolerance, near: dict):
             continue
         # what the remaining step along the branch would change in the located quantity
         along = change[n] * gap[n] * np.abs(point.tangent[0] * SCALE) / np.maximum(np.abs(point.u[:, 0]), 1e-3)
-        if "fold" in kind:
+        if kind in FOLDS:
             rest = along[min(FOLDS[kind], 2)] * change[n]
         else:
-            rest = along[1] if kind == "zero_voltage" else along[1:].max()
+            rest = along[1] if kind == PointKind.zero_voltage else along[1:].max()
         position = curves[branch].position[i] + share[n] * gap[n]
         out[wanted[n]] = Located(kind, branch, float(position), point, float(max(point.error[0], rest)))
     return out, missed
 
 
-def _is_fine(kind: str) -> bool:
+def _is_fine(kind: PointKind) -> bool:
     """Whether an event's function wants a finer grid than the state: the slope of a fold, a stress along the membrane."""
-    return kind in FOLDS or kind == "hoop_tension_loss"
+    return kind in FOLDS or kind == PointKind.hoop_tension_loss
 
 
 def _line(before: Points, last: Points, along: float) -> Points:
@@ -380,7 +384,9 @@ def _line(before: Points, last: Points, along: float) -> Points:
     return Points(**moved)
 
 
-def special_points(solver, curves: list[Curve], kinds: tuple[str, ...], tolerance: float, *, certify: bool = True):
+def special_points(
+    solver, curves: list[Curve], kinds: tuple[PointKind, ...], tolerance: float, *, certify: bool = True
+):
     """All special points of the named kinds on all branches, in order along each branch; and (kind, branch, …) missed."""
     wanted = [
         (kind, branch, int(i), 0.0)
@@ -389,20 +395,22 @@ def special_points(solver, curves: list[Curve], kinds: tuple[str, ...], toleranc
         for i in brackets(curve, kind)
     ]
     found, missed = locate(solver, curves, wanted, tolerance, certify=certify)
-    if "zero_voltage" in kinds:
-        more = loads_beside_folds(solver, curves, found, "zero_voltage", 0.0, tolerance, certify=certify)
+    if PointKind.zero_voltage in kinds:
+        more = loads_beside_folds(solver, curves, found, PointKind.zero_voltage, 0.0, tolerance, certify=certify)
         found, missed = found + more[0], missed + more[1]
     return sorted(found, key=lambda p: (p.branch, p.position)), missed
 
 
-def loads_beside_folds(solver, curves, located, kind: str, target: float, tolerance: float, *, certify: bool = True):
+def loads_beside_folds(
+    solver, curves, located, kind: PointKind, target: float, tolerance: float, *, certify: bool = True
+):
     """States at a load that two neighbours do not bracket, but a located fold between them does; and those not met.
 
     A fold nearer to zero voltage than its own error does not say whether there are such states: it counts as not met.
     """
     lines, wanted, missed = list(curves), [], []
     for fold in located:
-        if fold.kind not in ("fold", "charge_fold"):
+        if fold.kind not in (PointKind.fold, PointKind.charge_fold):
             continue
         line, column = lines[fold.branch], FOLDS[fold.kind]
         load = float(fold.point.control(column)[0])
@@ -414,7 +422,7 @@ def loads_beside_folds(solver, curves, located, kind: str, target: float, tolera
         if above[0] != above[1]:
             continue
         if abs(load - target) <= doubt:
-            missed += [(kind, fold.branch, i, target)] if kind == "zero_voltage" else []
+            missed += [(kind, fold.branch, i, target)] if kind == PointKind.zero_voltage else []
         if abs(load - target) <= doubt or above[0] == (load > target):
             continue
         points = Points.join([line.points.take(slice(0, i + 1)), fold.point, line.points.take(slice(i + 1, None))])

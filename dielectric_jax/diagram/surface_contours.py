@@ -21,6 +21,7 @@ from ..model import (
     SCANNED_LOAD,
     LoadingCondition,
     Membrane,
+    PointKind,
     Points,
     Shooting,
     difficulty,
@@ -196,7 +197,11 @@ def _shot_kinds(key: ById) -> tuple[str, ...]:
     surface = key.value
     stretch = np.linspace(1.0, float(surface.apex_edges[-1]), 400)
     ratio = np.asarray(field_ratio_squared(surface.membrane.breakdown, stretch, stretch))
-    return ("hoop_tension_loss",) if (np.diff(ratio) > 0).all() else ("hoop_tension_loss", "breakdown")
+    return (
+        (PointKind.hoop_tension_loss,)
+        if (np.diff(ratio) > 0).all()
+        else (PointKind.hoop_tension_loss, PointKind.breakdown)
+    )
 
 
 @functools.lru_cache(maxsize=16)

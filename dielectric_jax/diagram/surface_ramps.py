@@ -7,7 +7,6 @@ edge of the surface's domain, is left to `voltage_volume`: its outcome says so, 
 """
 
 import typing
-from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -16,25 +15,24 @@ import numpy as np
 
 from ..model import (
     Chamber,
+    ClosingEquation,
     ConstantPressure,
     FoldAhead,
     LoadingCondition,
     Outcome,
     locking_stretch,
-    regimes_of,
     threads,
 )
 from ..numerics import cached_jit, check_positive
 from ..surface import ROWS, ById, Conditions, Rows, Surface, crossings, rows_of
 from .landings import Landing, folds_ahead, landings
-from .row_points import LEVEL, ContourOnRows, Events, first_place
+from .ramps import APEX, ERROR, LOAD, PRESSURE, RampArrays, Ramps, Slot, ramps_of
+from .row_points import ContourOnRows, Events, first_place
 from .row_ramp import corrector_program, ramp_program, snap_program
 from .scene_batch import SceneBatch
 
 __all__ = [
     "Curves",
-    "Point",
-    "Ramps",
     "chamber_curves",
     "chamber_ramps",
     "filling_volumes",
@@ -49,59 +47,6 @@ _POLISHED = 1e-9  # from this error on the events of a ramp are met on the surfa
 _LARGEST_ERROR = 1e-8  # of a ramp that is told, in the end
 _FLAT = 1e-8  # of a pressure: nearer to its maximum no start is told
 _SOME = 8  # ramps that are polished together
-
-
-class Point(typing.NamedTuple):
-    """States of many loadings, arrays of one shape; NaN where there is none, and for the voltage of q < 0.
-
-    `error` bounds the relative error |error|/max(|value|, 1e-3) of volume and q; beside NaN it tells of a point that is
-    there but was not located.
-    """
-
-    apex_stretch: np.ndarray
-    pressure: np.ndarray
-    volume: np.ndarray
-    voltage: np.ndarray
-    error: np.ndarray
-
-
-class Ramps(typing.NamedTuple):
-    """Ramps of many loadings; NaN where there is no such event.
-
-    The arrays have the shape of the loadings; those of `snap`, `landing`, `snap_back` and `landing_back` have a last axis
-    more, of two, for ramps that snap twice. The way up: `start`, `snaps` snaps with their landings (`landing_ratio` is
-    E/E_EB there; where it is at least 1 the ramp ends in it), `breakdown` on the branch; `area_strain` is (λa at breakdown / λa at the start)² − 1, with breakdown in the snap that of
-    the last unbroken state. The way down from the last landing: `snap_back`, `landing_back`, and `rest`, the zero-voltage state in which it
-    ends. `error` bounds the relative error of the voltages and volumes of the ramp.
-
-    Special points of the contour through the start, by rising λa along a last axis: `folds` (of q, six), `zero_voltage`
-    (five), `breakdowns` (three); all there are between the two λa of `reach` (…, 2), where the surface holds the contour alone.
-    `outcome` holds an `Outcome` for each ramp. `ahead` is a `FoldAhead`: whether a branch that breaks down has a fold further on.
-    """
-
-    start: Point
-    snap: Point
-    landing: Point
-    landing_ratio: np.ndarray
-    breakdown: Point
-    area_strain: np.ndarray
-    snaps: np.ndarray
-    snap_back: Point
-    landing_back: Point
-    rest: Point
-    folds: Point
-    zero_voltage: Point
-    breakdowns: Point
-    reach: np.ndarray
-    outcome: np.ndarray
-    error: np.ndarray
-    ahead: np.ndarray
-
-    @property
-    def regime(self) -> np.ndarray:
-        """The `Regime` of every ramp as numbers; `not_decided` where the engine could not determine it."""
-        back = np.isfinite(self.snap_back.volume).any(axis=-1)
-        return regimes_of(self.outcome, self.snaps, back, self.ahead)
 
 
 class Curves(typing.NamedTuple):
@@ -127,7 +72,7 @@ def _start(rows: Rows, values, others, target, order: int):
     near = (here >= before) & (here >= after) & (here + 1.5 * over + _FLAT * jnp.abs(here) >= target)
     present = any_ & (reached > 0) & ~jnp.any(near & (jnp.arange(1, ROWS - 1) < reached))
     whole = ContourOnRows(rows, values, others, jnp.asarray(0), jnp.asarray(ROWS - 1))
-    place, _, other, _ = whole.correct(jnp.maximum(reached - 1, 0), LEVEL, target)
+    place, _, other, _ = whole.correct(jnp.maximum(reached - 1, 0), ClosingEquation.level, target)
 
     def on_surface(apex):
         return jnp.stack(rows.surface.at_load_fraction(apex, 0.0, ("volume", "pressure")[::order]))
@@ -185,20 +130,20 @@ def _ramps_of_crossings(rows: Rows, start, conditions, crossed, kind: str):
     conditions = Conditions(*conditions, polytropic=kind == "polytropic")
     # a program of its own: fused with the crossings it would find them anew for every use
     answer = ramp_program(rows, Events(*start), conditions, q, *crossed)
-    told, marks, snaps, outcome, reach = (jax.tree.map(np.array, part) for part in answer)
+    events, special, snaps, outcome, reach = (jax.tree.map(np.array, part) for part in answer)
 
     def worst():
-        return np.max(np.nan_to_num(told[:, 4], nan=0.0), axis=1)
+        return np.max(np.nan_to_num(events[:, ERROR], nan=0.0), axis=1)
 
     rough = np.flatnonzero(worst() > _POLISHED)
     for i in range(0, len(rough), _SOME):
         some = rough[i : i + _SOME]
         which = np.pad(some, (0, _SOME - len(some)), mode="edge")
         own = jax.tree.map(lambda v, which=which: np.asarray(v)[which], conditions)
-        told[some] = np.asarray(corrector_program(rows.surface, own, told[which]))[: len(some)]
+        events[some] = np.asarray(corrector_program(rows.surface, own, events[which]))[: len(some)]
     vague = worst() > _LARGEST_ERROR
-    told[vague], snaps[vague], outcome[vague] = np.nan, 0, int(Outcome.unresolved)
-    return told, *marks, snaps, outcome, reach
+    events[vague], snaps[vague], outcome[vague] = np.nan, 0, int(Outcome.unresolved)
+    return events, *special, snaps, outcome, reach
 
 
 def _snaps_chunk(rows: Rows, lanes, kind: str):
@@ -207,7 +152,7 @@ def _snaps_chunk(rows: Rows, lanes, kind: str):
 
 
 def first_folds_on(surface: Surface, given: dict) -> np.ndarray:
-    """Start and first fold, (λa, p, V, q, error) each, of many chambers or pressures: (…, 2, 5); NaN where not decided.
+    """Start and first fold, columns as in `States`, of many chambers or pressures: (…, 2, 5); NaN where not decided.
 
     `given` names the columns as the arguments of `chamber_ramps`, or the pressure.
     """
@@ -242,45 +187,45 @@ def curves_and_ramps(surface: Surface, given: dict) -> tuple[Curves, Ramps]:
     `given` names the columns as the arguments of `chamber_ramps`, or the pressure.
     """
     loadings, kind = _loadings(surface, given)
-    q, p, v, again, *told = _run(_glance_chunk, surface, loadings, kind, 0, _FEW)
+    q, p, v, again, *arrays = _run(_glance_chunk, surface, loadings, kind, 0, _FEW)
     curves = Curves(np.asarray(rows_of(ById(surface)).apex_stretch), q, p, v, again)
-    return curves, _answer(surface, loadings, kind, told, exact=True)
+    return curves, _answer(surface, loadings, kind, arrays, exact=True)
 
 
-def _answer(surface: Surface, loadings: list[np.ndarray], kind: str, told: list, *, exact: bool = False) -> Ramps:
+def _answer(surface: Surface, loadings: list[np.ndarray], kind: str, arrays: list, *, exact: bool = False) -> Ramps:
     """The ramps that the program found on the surface, with what lies beyond it: landings, and folds further on.
 
     With `exact` landings beyond the surface are located; else their numbers are NaN and only the outcome says that they
     are there.
     """
-    events, folds, zeros, breaks, snaps, outcome, reach = told
+    events, folds, zeros, breaks, snaps, outcome, reach = arrays
     shape = outcome.shape
     flat = [np.reshape(v, (-1, *v.shape[len(shape) :])) for v in (events, folds, snaps, outcome)]
     ahead = _decide_beyond(surface, [v.ravel() for v in loadings], kind, *flat, exact=exact).reshape(shape)
     events, folds, snaps, outcome = (
         np.reshape(v, w.shape) for v, w in zip(flat, (events, folds, snaps, outcome), strict=True)
     )
-    return ramps_of(surface.breakdown_load, events, folds, zeros, breaks, snaps, outcome, reach, ahead)
+    return ramps_of(surface.breakdown_load, RampArrays(events, folds, zeros, breaks, snaps, outcome, reach, ahead))
 
 
 def _decide_beyond(surface: Surface, loadings, kind: str, events, folds, snaps, outcome, *, exact: bool) -> np.ndarray:
     """Settles in place the ramps whose end lies beyond the surface; returns their `FoldAhead`."""
     ahead = np.full(len(outcome), int(FoldAhead.unknown))
-    broken = events[:, 0, 5]
+    broken = events[:, APEX, Slot.breakdown]
     with np.errstate(invalid="ignore"):
-        ahead[(folds[:, 0] > broken[:, None]).any(axis=1)] = FoldAhead.fold
+        ahead[(folds[:, APEX] > broken[:, None]).any(axis=1)] = FoldAhead.fold
     first = outcome == Outcome.breakdown_on_branch
     open_ = np.flatnonzero(first & (snaps == 0) & (ahead == FoldAhead.unknown))
     if len(open_):
         condition = _loading_conditions(loadings, kind, events, open_)
-        ahead[open_] = folds_ahead(surface.membrane, condition, broken[open_], events[open_, 3, 5])
+        ahead[open_] = folds_ahead(surface.membrane, condition, broken[open_], events[open_, LOAD, Slot.breakdown])
     lost = np.flatnonzero(outcome == Outcome.no_landing)
     if len(lost):
         last = np.maximum(snaps[lost], 1)
         scene_batch = _scene_batch(surface, _loading_conditions(loadings, kind, events, lost))
         found = landings(scene_batch, surface.membrane, np.arange(len(lost)), events[lost, :, last], exact=exact)
         outcome[lost[found.kind == Landing.broken]] = Outcome.breakdown_in_snap
-        events[lost, :, 2 + last] = found.state
+        events[lost, :, Slot.landings.start - 1 + last] = found.state
         undecided = lost[(found.kind == Landing.unknown) | (found.kind == Landing.unbroken)]
         events[undecided], snaps[undecided], outcome[undecided] = np.nan, 0, Outcome.unresolved
     return ahead
@@ -291,7 +236,7 @@ def _loading_conditions(loadings, kind: str, events, which: np.ndarray) -> Loadi
     own = [v[which] for v in loadings]
     example = ConstantPressure(1.0) if kind == "pressure" else Chamber(volume=1.0, initial_volume=1.0)
     loading = jax.tree.unflatten(jax.tree.structure(example), own)
-    filling = () if kind == "pressure" else (events[which, 1, 0], own[1])
+    filling = () if kind == "pressure" else (events[which, PRESSURE, Slot.start], own[1])
     return jax.tree.map(lambda v: np.broadcast_to(np.asarray(v, float), len(which)), loading.condition(*filling))
 
 
@@ -305,8 +250,8 @@ def landings_on(surface: Surface, given: dict, folds: np.ndarray) -> np.ndarray:
     loadings, kind = _loadings(surface, given)
     starts = np.moveaxis(first_folds_on(surface, given)[:, :1], 1, 2)  # (n, values, events)
     # of a fold the pressure does not matter, and the volume only where a landing lies below it
-    known = np.column_stack([folds[:, 0], np.zeros((count, 2)), folds[:, 1], np.zeros(count)])
-    which = np.flatnonzero(np.isfinite(folds).all(axis=1) & np.isfinite(starts[:, 1, 0]))
+    known = np.column_stack([folds[:, 0], np.zeros(count), folds[:, 1], np.zeros((count, 2))])
+    which = np.flatnonzero(np.isfinite(folds).all(axis=1) & np.isfinite(starts[:, PRESSURE, Slot.start]))
     guess = np.full((count, 2), np.nan)
     if len(which):
         scene_batch = _scene_batch(surface, _loading_conditions(loadings, kind, starts, which))
@@ -371,47 +316,6 @@ def _checked_loadings(surface, given: dict) -> list[np.ndarray]:
         if wrong.any():
             check_positive(name, float(values[wrong].flat[0]), zero=name == "atmospheric_pressure")
     return list(loadings.values())
-
-
-def ramps_of(breakdown_load: Callable, told, folds, zeros, breaks, snaps, outcome, reach, ahead) -> Ramps:
-    """The answer of the program, by names; points have an axis of λa, p, V, q, error, then one of events.
-
-    `breakdown_load` gives q_b of stretches at the apex.
-    """
-
-    def points(values):
-        apex, p, v, q, error = values
-        with np.errstate(invalid="ignore"):
-            return Point(apex, p, v, np.sqrt(q), error)
-
-    def at(which):
-        return points(np.moveaxis(told[..., which], told.ndim - 2, 0))
-
-    folds, zeros, breaks = (points(np.moveaxis(m, -2, 0)) for m in (folds, zeros, breaks))
-    landing = at(slice(3, 5))
-    with np.errstate(invalid="ignore"):
-        limit = np.sqrt(np.asarray(breakdown_load(landing.apex_stretch)))
-    snapped = np.where(np.isnan(told[..., 0, 2]), told[..., 0, 1], told[..., 0, 2])
-    final = np.where(np.isnan(told[..., 0, 5]), snapped, told[..., 0, 5])
-    return Ramps(
-        start=at(0),
-        snap=at(slice(1, 3)),
-        landing=landing,
-        landing_ratio=landing.voltage / limit,
-        breakdown=at(5),
-        area_strain=(final / told[..., 0, 0]) ** 2 - 1,
-        snaps=snaps,
-        snap_back=at(slice(6, 8)),
-        landing_back=at(slice(8, 10)),
-        rest=at(10),
-        folds=folds,
-        zero_voltage=zeros,
-        breakdowns=breaks,
-        reach=reach,
-        outcome=outcome,
-        error=np.where(outcome == Outcome.unresolved, np.nan, np.max(np.nan_to_num(told[..., 4, :], nan=0.0), axis=-1)),
-        ahead=ahead,
-    )
 
 
 def chamber_ramps(

@@ -13,6 +13,7 @@ from .corrector import (
     locking_stretch,
 )
 from .energies import require_float64
+from .kinds import ClosingEquation, PointKind, RampEvent
 from .loading import (
     Chamber,
     ChargeControl,
@@ -80,6 +81,7 @@ __all__ = [
     "Chamber",
     "Change",
     "ChargeControl",
+    "ClosingEquation",
     "ConstantBreakdown",
     "ConstantPressure",
     "ConstantVoltage",
@@ -97,10 +99,12 @@ __all__ = [
     "Ogden",
     "Outcome",
     "Parameter",
+    "PointKind",
     "Points",
     "PrescribedVolume",
     "Profile",
     "Ramp",
+    "RampEvent",
     "Regime",
     "Scan",
     "Scene",

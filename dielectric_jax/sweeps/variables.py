@@ -10,8 +10,8 @@ import typing
 
 import numpy as np
 
-from ..diagram import ENDS, Diagram, Ramps, ramps_of, regime_of_diagram
-from ..model import FoldAhead, Outcome, Regime, State, field_on
+from ..diagram import ENDS, LISTED, SLOTS, Diagram, RampArrays, Ramps, Slot, ramps_of, regime_of_diagram
+from ..model import FoldAhead, Outcome, PointKind, Regime, State, field_on
 from ..numerics import Code
 
 __all__ = [
@@ -181,30 +181,31 @@ def answer_of_diagram(diagram: Diagram) -> dict[str, np.ndarray]:
     """The variables of one scene from its whole diagram, arrays of length 1."""
     up = diagram.ramp()
     down = [e for e in diagram.events if e.direction == "down"]
-    told = np.full((1, 5, 11), np.nan)
-    marks = {kind: np.full((1, 5, size), np.nan) for kind, size in (("fold", 6), ("zero_voltage", 5), ("breakdown", 3))}
+    events = np.full((1, 5, SLOTS), np.nan)
+    kinds = PointKind.fold, PointKind.zero_voltage, PointKind.breakdown
+    special = {kind: np.full((1, 5, size), np.nan) for kind, size in zip(kinds, LISTED.values(), strict=True)}
 
     def put(columns, i: int, state: State) -> None:
         columns[0, :, i] = (
-            state.apex_stretch, state.pressure, state.volume, state.voltage_squared, state.error_estimate
+            state.apex_stretch, state.pressure, state.voltage_squared, state.volume, state.error_estimate
         )  # fmt: skip
 
     starts = [e.state for e in up["start"]]
     begin = starts[0] if starts else None
     for first, states in (
-        (0, starts),
-        (1, [e.state for e in up["snap"]][:2]),
-        (3, [e.state for e in up["landing"]][:2]),
-        (5, [e.state for e in up["breakdown"] if e.reason == "breakdown on the branch"]),
-        (6, [e.state for e in down if e.event == "snap_back"][:2]),
-        (8, [e.state for e in down if e.event == "landing"][:2]),
-        (10, [e.state for e in down if e.event == "end" and e.reason == "zero voltage"]),
+        (Slot.start, starts),
+        (Slot.snaps.start, [e.state for e in up["snap"]][:2]),
+        (Slot.landings.start, [e.state for e in up["landing"]][:2]),
+        (Slot.breakdown, [e.state for e in up["breakdown"] if e.reason == "breakdown on the branch"]),
+        (Slot.snap_backs.start, [e.state for e in down if e.event == "snap_back"][:2]),
+        (Slot.landings_back.start, [e.state for e in down if e.event == "landing"][:2]),
+        (Slot.rest, [e.state for e in down if e.event == "end" and e.reason == "zero voltage"]),
     ):
         for i, state in enumerate(states):
-            put(told, first + i, state)
+            put(events, first + i, state)
     branch = [p.branch for p in diagram.special_points if begin is not None and _same(p, begin)]
     own = [p for p in diagram.special_points if branch and p.branch == branch[0]]
-    for kind, columns in marks.items():
+    for kind, columns in special.items():
         states = sorted((p for p in own if p.kind == kind), key=lambda p: p.apex_stretch)
         for i, state in enumerate(states[: columns.shape[2]]):
             put(columns, i, state)
@@ -220,10 +221,10 @@ def answer_of_diagram(diagram: Diagram) -> dict[str, np.ndarray]:
     if branch:
         apex = diagram.branches[branch[0]].apex_stretch
         reach[0] = np.nanmin(apex), np.nanmax(apex)
-    folds, zeros, breaks = marks.values()
-    ramps = ramps_of(
-        breakdown_load, told, folds, zeros, breaks, snaps, np.array([outcome]), reach, np.array([FoldAhead.unknown])
-    )
+        folds, zeros, breaks = special.values()
+    unknown = np.array([FoldAhead.unknown])
+    arrays = RampArrays(events, folds, zeros, breaks, snaps, np.array([outcome]), reach, unknown)
+    ramps = ramps_of(breakdown_load, arrays)
     found = answers_of(ramps, Source.diagram) | {"area_strain": np.array([up.area_strain], float)}
     landings = [e.state.breakdown_ratio for e in up["landing"]][:2]
     found["landing_ratio"] = np.full((1, 2), np.nan)

@@ -159,7 +159,7 @@ def test_records_there_and_back(chamber):
 
 
 def test_ensembles_convert_too():
-    point = dj.diagram.Point(*(np.array([v]) for v in (2.0, 1.0, 3.0, 0.1, 1e-12)))
+    point = dj.diagram.States(*(np.array([v]) for v in (2.0, 1.0, 0.01, 3.0, 1e-12)))
     there = dj.Units().to_si(point)
     assert there.pressure[0] == pytest.approx(PRESSURE) and there.voltage[0] == pytest.approx(0.1 * VOLTAGE)
     assert there.apex_stretch[0] == 2.0 and there.error[0] == 1e-12
