@@ -60,13 +60,13 @@ class Meter:
         return found
 
 
-def march_sides(membrane, condition, limits, walk, peak, steps, *rest):
-    return len(peak), batch_programs._PASSES * steps * STAGES
+def march_sides(membrane, condition, limits, walk, peak, grid):
+    return len(peak), batch_programs._PASSES * grid.steps * STAGES
 
 
-def meet_sides(membrane, condition, u, tangents, slopes, rows, targets, kinds, rounds, grid):
+def correction_sides(membrane, condition, begin, goals, rounds, grid):
     # without derivatives the residual costs two fifths
-    return u.shape[1], (rounds * grid[0] + grid[1] / 2.6) * STAGES
+    return begin[0].shape[1], (rounds * grid[0] + grid[1] / 2.6) * STAGES
 
 
 def right_hand_side() -> float:
@@ -94,7 +94,7 @@ def main() -> int:
     scenes = [dj.Scene(membrane, dj.Chamber(volume=v, initial_volume=chambers.INITIAL_VOLUME)) for v in volumes]
     meters = {
         "march": Meter(batch, "march_program", march_sides),
-        "events": Meter(scene_batch, "correct_program", meet_sides),
+        "events": Meter(scene_batch, "correct_program", correction_sides),
         "loads": Meter(scene_batch, "limits_program", lambda membrane, apex: (len(apex), 0)),
     }
     whole, best, found = float("inf"), {}, None

@@ -13,6 +13,7 @@ import numpy as np
 from ..diagram import (
     Ramps,
     SceneBatch,
+    TraceGrid,
     branch_problem,
     chamber_ramps,
     condition_of,
@@ -52,12 +53,12 @@ _HIDDEN = 0.02  # of the larger slope of q: an interval on which q rises more sl
 
 
 @cached_jit
-def _climb_program(material, prestretch, condition, limits, seed, accuracy, load_limits, lengths):
+def _climb_program(membrane, condition, limits, seed, grid: TraceGrid):
     """The branch from a state at zero voltage until q no longer rises: the last two points, their tangents, and why.
 
     The last number tells how slowly q rose on any interval before, by the slopes at its ends.
     """
-    problem = branch_problem(material, prestretch, condition, limits, accuracy, load_limits, lengths, _STEPS)
+    problem = branch_problem(membrane.material, membrane.prestretch, condition, limits, grid, _STEPS)
     walk = begin(problem, seed, jnp.array([0.0, 0.0, 1.0]))
     shares = jnp.linspace(0.0, 1.0, 9)[1:-1]
 
@@ -146,9 +147,9 @@ def _first_fold(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     scene_batch = SceneBatch(membrane, stacked([condition]), locks, alone=True)
     limits, lengths = _box(scene), np.array([2e-5, 0.6, 0.6])
     for accuracy, top in zip(_GRIDS, ((0.7, 0.85), (0.82, 0.97), (2.0, 2.0)), strict=True):
-        grid = accuracy, np.array(top), lengths
-        own = scene.membrane.material, scene.membrane.prestretch, condition, limits, start.u[0]
-        before, after, passed, code, least = jax.tree.map(np.asarray, _climb_program(*own, *grid))
+        grid = TraceGrid(accuracy, np.array(top), lengths)
+        climbed = _climb_program(scene.membrane, condition, limits, start.u[0], grid)
+        before, after, passed, code, least = jax.tree.map(np.asarray, climbed)
         if passed and least > _HIDDEN:
             place, tangent, slope = _turn(before, after)
             found = scene_batch.correct_folds(

@@ -19,7 +19,7 @@ from .surface_ramps import (
     pressure_curves,
     pressure_ramps,
 )
-from .tracing import branch_problem
+from .tracing import TraceGrid, branch_problem
 
 __all__ = [
     "APEX",
@@ -40,6 +40,7 @@ __all__ = [
     "SceneBatch",
     "Slot",
     "States",
+    "TraceGrid",
     "branch_problem",
     "chamber_curves",
     "chamber_ramps",

@@ -40,6 +40,7 @@ from .polylines import Polylines
 from .ramps import APEX, LOAD, Ramps, Slot, ramps_of
 from .scene_batch import LANES, Corrected, SceneBatch, calls, padded, pick
 from .states import check_request
+from .tracing import TraceGrid
 
 __all__ = ["Batch", "condition_of", "continue_scenes", "stacked", "starts"]
 
@@ -329,7 +330,7 @@ class _March:
         lanes, count = padded(now), len(now)
         own = self.owner[lanes]
         membrane, condition = pick(self.scene_batch.membrane, own), pick(self.scene_batch.condition, own)
-        begin = pick(walk, lanes), peak[lanes], steps, load_limits, _LENGTHS
+        begin = pick(walk, lanes), peak[lanes], TraceGrid(steps, load_limits, _LENGTHS)
         found, new_peak, passed = march_program(membrane, condition, self.limits[own], *begin)
         for store, values in zip(walk, found, strict=True):
             store[now] = np.asarray(values)[:count]

@@ -21,7 +21,7 @@ from ..model import (
     largest_load,
 )
 from ..numerics import Code, Steps, Walk, advance, cached_jit
-from .tracing import branch_problem
+from .tracing import TraceGrid, branch_problem
 
 __all__ = [
     "correct_program",
@@ -62,7 +62,7 @@ def new_walks(u: np.ndarray, headings: np.ndarray) -> Walk:
 
 
 @cached_jit
-def march_program(membrane, condition, limits, walk, peak, accuracy, load_limits, lengths):
+def march_program(membrane, condition, limits, walk, peak, grid: TraceGrid):
     """Walks after a few passes, a bound of the highest q on them, and after every pass: base, tangent, and whether it is new.
 
     A walk ends with `Code.breakdown` beyond breakdown at the apex, at a load higher than any before on it.
@@ -70,7 +70,7 @@ def march_program(membrane, condition, limits, walk, peak, accuracy, load_limits
     material = membrane.material
 
     def one(material, prestretch, condition, limits, walk):
-        problem = branch_problem(material, prestretch, condition, limits, accuracy, load_limits, lengths, _STEPS)
+        problem = branch_problem(material, prestretch, condition, limits, grid, _STEPS)
         return advance(problem, walk)
 
     def one_pass(state, _):
@@ -144,85 +144,124 @@ def _zeros(trail):
     return jnp.sum(change, axis=0)
 
 
-def _settle(membrane, condition, kinds, grid, newton, residual, volume):
+class Goals(typing.NamedTuple):
+    """The third equation of points: `kinds` (lanes,) of `ClosingEquation`, for a level `rows` (3, lanes) and `targets`."""
+
+    rows: typing.Any
+    targets: typing.Any
+    kinds: typing.Any
+
+    def excess(self, membrane, u, volume, sensitivities):
+        """By how much points miss their goal, and the gradient of that in scaled unknowns; of a fold neither."""
+        broken, slope = _excess_load(membrane, u)
+        of_volume, breaks = self.kinds == ClosingEquation.volume, self.kinds == ClosingEquation.breakdown
+        value = jnp.where(of_volume, volume - self.targets, jnp.sum(self.rows * u, axis=0) - self.targets)
+        gradient = jnp.where(of_volume, sensitivities[:, 1], self.rows) * _SCALE
+        return jnp.where(breaks, broken, value), jnp.where(breaks, slope, gradient)
+
+    @property
+    def folds(self):
+        return self.kinds == ClosingEquation.fold
+
+
+class _Newton(typing.NamedTuple):
+    """A state of Newton's method on points, lanes last.
+
+    `secant` holds of d(dq)/ds its value, the distance along the tangent that it rests on, and how wrong it may be. `last` is
+    the point before and dq along its tangent. `move`, `matrix` (the equations' gradients), `sensitivities`, `volume` and
+    `zeros` (of the sensitivity along the membrane) are those of the step that led to `u`.
+    """
+
+    u: typing.Any
+    tangent: typing.Any
+    secant: typing.Any
+    last: tuple
+    move: typing.Any
+    matrix: typing.Any
+    sensitivities: typing.Any
+    volume: typing.Any
+    zeros: typing.Any
+
+    @staticmethod
+    def begin(u, tangents, slopes) -> "_Newton":
+        lanes = u.shape[1]
+        secant = jnp.stack([slopes, jnp.full(lanes, 1e-3), jnp.ones(lanes)])
+        nothing = jnp.zeros((3, lanes)), jnp.zeros((3, 3, lanes)), jnp.zeros((3, 2, lanes))
+        numbers = jnp.zeros(lanes), jnp.zeros(lanes, int)
+        return _Newton(u, tangents, secant, (u, jnp.full(lanes, jnp.nan)), *nothing, *numbers)
+
+
+def _settle(membrane, condition, goals: Goals, grid, newton: _Newton, residual, volume):
     """What `correct_program` returns, from the end of Newton and the residuals (3, lanes) and V on the fine grid."""
     coarse, fine, contraction = grid
-    u, (slope, _, doubt), move, matrix, sensitivities, before, zeros = newton
+    u, move, matrix, sensitivities = newton.u, newton.move, newton.matrix, newton.sensitivities
+    slope, _, doubt = newton.secant
     good = jnp.all(jnp.isfinite(matrix), axis=(0, 1))
     step = -jnp.where(good, _solve3(matrix[0], matrix[1], matrix[2], residual), jnp.nan)
     u = u + step * _SCALE
     null = jnp.cross(matrix[0], matrix[1], axis=0)
     null = null / jnp.linalg.norm(null, axis=0)
-    shift = volume - before
+    shift = volume - newton.volume
     volume = volume + jnp.sum(sensitivities[:, 1] * step * _SCALE, axis=0)
-    # the method is of order eight: what the residual changed by tells the error left on the finer grid
+    # the method is of order eight: the change of the residual gives the error left on the finer grid
     left = (2 * coarse / fine) ** 8
     jacobian = jnp.moveaxis(matrix[:2] / _SCALE, -1, 0)
     relative = jnp.max(jnp.abs(step * _SCALE) / jnp.maximum(jnp.abs(u), 1e-3), axis=0)
     change = left * residual[:2].T, left * jnp.abs(shift), condition.slopes(volume)[1], membrane.prestretch
     error = estimated_error(u, volume, jacobian, sensitivities, *change, relative * contraction)
     rate = jnp.sum(sensitivities[:, 1] * null * _SCALE, axis=0)
-    fold, size = kinds == ClosingEquation.fold, jnp.linalg.norm(step, axis=0)
+    fold, size = goals.folds, jnp.linalg.norm(step, axis=0)
     along = jnp.abs(jnp.sum(move * null, axis=0)) * doubt + _OF_TANGENT * size / jnp.abs(slope)
     of_load = jnp.abs(slope) * along**2 * SCALE[2] / jnp.maximum(jnp.abs(u[2]), 1e-3)
     error = error + jnp.where(fold, of_load, 0.0)
     spread = jnp.where(fold, jnp.abs(rate) * along / jnp.maximum(jnp.abs(volume), 1e-3), 0.0)
     settled = (size < _SETTLED) & (jnp.linalg.norm(move, axis=0) < jnp.where(fold, _SETTLED_FOLD, 30 * _SETTLED))
     settled &= jnp.all(jnp.isfinite(u), axis=0) & jnp.isfinite(error)
-    index = index_of(zeros, jacobian, sensitivities, volume, condition)
+    index = index_of(newton.zeros, jacobian, sensitivities, volume, condition)
     return u, volume, null, rate, index, error, spread, settled, slope, jnp.linalg.norm(move, axis=0)
 
 
-@cached_jit
-def correct_program(membrane, condition, u, tangents, slopes, rows, targets, kinds, rounds, grid):
-    """States on loadings where row·u = target, V = target, breakdown, or a fold of q, from u (3, lanes).
+def _newton_step(membrane, condition, goals: Goals, steps, state: _Newton) -> _Newton:
+    """One step on a grid of `steps`; folds follow a secant of dq along the tangent."""
+    u, (last_u, last_g) = state.u, state.last
+    slope, last_apart, _ = state.secant
+    shot = integrate_membrane(membrane.material, u[0], u[1], u[2], steps, sensitivities=UNKNOWNS, trail="sensitivity")
+    value, jacobian, sensitivities = _system(membrane, condition, u, shot)
+    tangent = _null(jacobian, state.tangent)
+    apart = jnp.sum((u - last_u) / _SCALE * tangent, axis=0)
+    secant = (tangent[2] - last_g) / apart
+    fair = (jnp.abs(apart) > _APART) & (secant * slope > 0)  # nearer points show the noise
+    # the change of the slope shows how wrong the one before was; the new one is better as its points are nearer
+    doubt = jnp.abs(1 - slope / secant) * jnp.minimum(1.0, jnp.abs(apart / last_apart))
+    known = jnp.where(fair, jnp.stack([secant, apart, doubt]), state.secant)
+    g, gradient = goals.excess(membrane, u, shot.volume, sensitivities)
+    g = jnp.where(goals.folds, tangent[2] / known[0], g)
+    gradient = jnp.where(goals.folds, tangent, gradient)
+    move = -_solve3(jacobian[0], jacobian[1], gradient, jnp.concatenate([value, g[None]]))
+    volume = shot.volume + jnp.sum(sensitivities[:, 1] * move * _SCALE, axis=0)
+    matrix = jnp.concatenate([jacobian, gradient[None]])
+    zeros = _zeros(shot.trail)
+    return _Newton(u + move * _SCALE, tangent, known, (u, tangent[2]), move, matrix, sensitivities, volume, zeros)
 
-    Newton on the coarse grid, `rounds` times, then one move by the residuals on the fine one with its Jacobian. At a fold
-    the moves along the tangent follow a secant that begins with the `slopes` d(dq)/ds. `grid` is the steps of both, and how
-    much of a chord step's move may be left. Returns, with lanes last, u, V, unit tangents in scaled unknowns, dV along
-    them, the index, the errors of a `Corrected`, whether Newton has settled, the slopes of folds, and the length of Newton's last move.
+
+@cached_jit
+def correct_program(membrane, condition, begin, goals: Goals, rounds, grid):
+    """States on loadings that satisfy `goals`, from `begin` = u (3, lanes), unit tangents, and slopes d(dq)/ds of folds.
+
+    Newton on the coarse grid, `rounds` times, then one move by the residuals on the fine one with its Jacobian. `grid` is
+    the steps of both, and how much of a chord step's move may be left. Returns, with lanes last, u, V, unit tangents in
+    scaled unknowns, dV along them, the index, the errors of a `Corrected`, whether Newton has settled, the slopes of folds,
+    and the length of Newton's last move.
     """
     coarse, fine, _ = grid
 
-    def goal(u, volume, sensitivities):
-        broken, slope = _excess_load(membrane, u)
-        value = jnp.where(kinds == ClosingEquation.volume, volume - targets, jnp.sum(rows * u, axis=0) - targets)
-        gradient = jnp.where(kinds == ClosingEquation.volume, sensitivities[:, 1], rows) * _SCALE
-        return jnp.where(kinds == ClosingEquation.breakdown, broken, value), jnp.where(
-            kinds == ClosingEquation.breakdown, slope, gradient
-        )
+    def step(_, state):
+        return _newton_step(membrane, condition, goals, coarse, state)
 
-    def newton(_, state):
-        u, tangent, (slope, last_apart, _), last_u, last_g = state[:5]
-        shot = integrate_membrane(
-            membrane.material, u[0], u[1], u[2], coarse, sensitivities=UNKNOWNS, trail="sensitivity"
-        )
-        value, jacobian, sensitivities = _system(membrane, condition, u, shot)
-        tangent = _null(jacobian, tangent)
-        apart = jnp.sum((u - last_u) / _SCALE * tangent, axis=0)
-        secant = (tangent[2] - last_g) / apart
-        fair = (jnp.abs(apart) > _APART) & (secant * slope > 0)  # nearer points tell the noise
-        # the change of the slope tells how wrong the one before was; the new one is better as its points are nearer
-        doubt = jnp.abs(1 - slope / secant) * jnp.minimum(1.0, jnp.abs(apart / last_apart))
-        known = jnp.where(fair, jnp.stack([secant, apart, doubt]), state[2])
-        g, gradient = goal(u, shot.volume, sensitivities)
-        g, gradient = (
-            jnp.where(kinds == ClosingEquation.fold, tangent[2] / known[0], g),
-            jnp.where(kinds == ClosingEquation.fold, tangent, gradient),
-        )
-        move = -_solve3(jacobian[0], jacobian[1], gradient, jnp.concatenate([value, g[None]]))
-        volume = shot.volume + jnp.sum(sensitivities[:, 1] * move * _SCALE, axis=0)
-        matrix = jnp.concatenate([jacobian, gradient[None]])
-        return u + move * _SCALE, tangent, known, u, tangent[2], move, matrix, sensitivities, volume, _zeros(shot.trail)
-
-    lanes = u.shape[1]
-    known = jnp.stack([slopes, jnp.full(lanes, 1e-3), jnp.ones(lanes)])
-    nothing = jnp.zeros((3, lanes)), jnp.zeros((3, 3, lanes)), jnp.zeros((3, 2, lanes))
-    begin = u, tangents, known, u, jnp.full(lanes, jnp.nan), *nothing, jnp.zeros(lanes), jnp.zeros(lanes, int)
-    state = jax.lax.fori_loop(0, rounds, newton, begin)
-    u = state[0]
+    state = jax.lax.fori_loop(0, rounds, step, _Newton.begin(*begin))
+    u = state.u
     shot = integrate_membrane(membrane.material, u[0], u[1], u[2], fine)
-    g = jnp.where(kinds == ClosingEquation.fold, 0.0, goal(u, shot.volume, state[7])[0])
+    g = jnp.where(goals.folds, 0.0, goals.excess(membrane, u, shot.volume, state.sensitivities)[0])
     stretch_change = shot.stretch_change - (membrane.prestretch - u[0])
     residual = jnp.stack([stretch_change, condition.residual(u[1], shot.volume, u[2]), g])
-    return _settle(membrane, condition, kinds, grid, (u, state[2], *state[5:]), residual, shot.volume)
+    return _settle(membrane, condition, goals, grid, state, residual, shot.volume)

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 from ..model import CONTRACTION, SCALE, ClosingEquation, LoadingCondition, Membrane, difficulty
-from .batch_programs import correct_program, limits_program
+from .batch_programs import Goals, correct_program, limits_program
 
 __all__ = ["LANES", "Corrected", "SceneBatch"]
 
@@ -111,8 +111,9 @@ class SceneBatch:
         def run(now, u, grid):
             own = which[now]
             nothing = np.tile([[0.0], [0.0], [1.0]], (1, len(now))), np.ones(len(now))
-            given = *nothing, rows[now].T, targets[now], kinds[now], _ROUNDS[0], grid
-            return correct_program(pick(self.membrane, own), pick(self.condition, own), u[now].T, *given)
+            goals = Goals(rows[now].T, targets[now], kinds[now])
+            scenes = pick(self.membrane, own), pick(self.condition, own)
+            return correct_program(*scenes, (u[now].T, *nothing), goals, _ROUNDS[0], grid)
 
         return self._correct(run, which, u, tolerance, reach)
 
@@ -122,9 +123,9 @@ class SceneBatch:
 
         def run(now, u, grid):
             own, lanes = which[now], len(now)
-            nothing = np.zeros((3, lanes)), np.zeros(lanes), np.full(lanes, ClosingEquation.fold)
-            given = tangents[now].T, slopes[now], *nothing, _ROUNDS[1], grid
-            return correct_program(pick(self.membrane, own), pick(self.condition, own), u[now].T, *given)
+            goals = Goals(np.zeros((3, lanes)), np.zeros(lanes), np.full(lanes, ClosingEquation.fold))
+            scenes = pick(self.membrane, own), pick(self.condition, own)
+            return correct_program(*scenes, (u[now].T, tangents[now].T, slopes[now]), goals, _ROUNDS[1], grid)
 
         return self._correct(run, which, u, tolerance, reach, slopes)
 

@@ -280,94 +280,114 @@ def _locate_loads(solver, curves, wanted, tolerance):
     return found, [w for n, w in enumerate(wanted) if not ok[n]]
 
 
-def _locate_roots(solver, curves, wanted, tolerance, near: dict):
-    """Roots of event functions by a secant method that keeps its brackets; and the wanted ones it failed for."""
-    if not wanted:
-        return {}, []
-    ends = Points.join([curves[b].points.take(np.array([i, i + 1])) for _, b, i, _ in wanted])
-    lanes = np.arange(len(wanted))
-    first = 2 * lanes
-    gap = np.array([curves[b].position[i + 1] - curves[b].position[i] for _, b, i, _ in wanted])
+class _Brackets:
+    """Roots of test functions on intervals of branches, each kept in a bracket of shares of its interval.
 
-    def values(points, which):
-        return np.array(
-            [event_values(wanted[n][0], points.take(np.array([k])), wanted[n][3])[0] for k, n in enumerate(which)]
-        )
+    A root is one of `wanted` = (kind, branch, interval, target). Rows of the arrays are the roots.
+    """
 
-    low, high = np.zeros(len(wanted)), np.ones(len(wanted))
-    f_low, f_high = values(ends.take(first), lanes), values(ends.take(first + 1), lanes)
-    share, slope = np.array([_predict(curves[b], kind, i, target) for kind, b, i, target in wanted]).T
-    for n, (kind, branch, i, _) in enumerate(wanted):
-        if kind in FOLDS and (better := _fold_share(curves[branch], kind, i)) is not None:
-            share[n], slope[n] = better
-        if wanted[n] in near:
-            share[n] = (near[wanted[n]].position - curves[branch].position[i]) / gap[n]
-    last, f_last = np.full(len(wanted), np.nan), np.full(len(wanted), np.nan)
-    change = np.full(len(wanted), np.inf)
-    # a least value along the membrane has kinks: its neighbours may tell nothing
-    smooth = np.array([kind != PointKind.hoop_tension_loss and len(curves[b].points) >= 4 for kind, b, _, _ in wanted])
-    trials: list[list[Points]] = [[] for _ in wanted]
-    active = lanes
-    for _ in range(_ROUNDS):
-        at = share[active]
-        found = solve_between(
-            solver,
-            ends,
-            first[active],
-            at,
-            tolerance=tolerance / 2,
-            refine=np.array([_is_fine(wanted[n][0]) for n in active]),
+    def __init__(self, curves: list[Curve], wanted: list[tuple], near: dict):
+        self.curves, self.wanted = curves, wanted
+        count = len(wanted)
+        self.ends = Points.join([curves[b].points.take(np.array([i, i + 1])) for _, b, i, _ in wanted])
+        self.gap = np.array([curves[b].position[i + 1] - curves[b].position[i] for _, b, i, _ in wanted])
+        self.low, self.high = np.zeros(count), np.ones(count)
+        first, lanes = 2 * np.arange(count), np.arange(count)
+        self.f_low, self.f_high = (
+            self.values(self.ends.take(first), lanes),
+            self.values(self.ends.take(first + 1), lanes),
         )
-        f = values(found, active)
-        below = ((f < 0) == (f_low[active] < 0)) & np.isfinite(f)
+        self.share, self.slope = np.array([_predict(curves[b], kind, i, target) for kind, b, i, target in wanted]).T
+        for n, (kind, branch, i, _) in enumerate(wanted):
+            if kind in FOLDS and (better := _fold_share(curves[branch], kind, i)) is not None:
+                self.share[n], self.slope[n] = better
+            if wanted[n] in near:
+                self.share[n] = (near[wanted[n]].position - curves[branch].position[i]) / self.gap[n]
+        self.last, self.f_last = np.full(count, np.nan), np.full(count, np.nan)
+        self.change = np.full(count, np.inf)
+        # a least value along the membrane has kinks: its neighbours may show nothing
+        self.smooth = np.array(
+            [kind != PointKind.hoop_tension_loss and len(curves[b].points) >= 4 for kind, b, _, _ in wanted]
+        )
+        self.trials: list[list[Points]] = [[] for _ in wanted]
+
+    def values(self, points: Points, which) -> np.ndarray:
+        """The test functions of the roots `which` at points, one of each."""
+        targets = [(self.wanted[n][0], self.wanted[n][3]) for n in which]
+        return np.array([event_values(kind, points.take(np.array([k])), t)[0] for k, (kind, t) in enumerate(targets)])
+
+    def step(self, solver, active: np.ndarray, tolerance: float) -> np.ndarray:
+        """One trial of each of the `active` roots; returns which of them go on."""
+        at = self.share[active]
+        fine = np.array([_is_fine(self.wanted[n][0]) for n in active])
+        found = solve_between(solver, self.ends, 2 * active, at, tolerance=tolerance / 2, refine=fine)
+        f = self.values(found, active)
+        below = ((f < 0) == (self.f_low[active] < 0)) & np.isfinite(f)
         above = ~below & np.isfinite(f)
-        low[active[below]], f_low[active[below]] = at[below], f[below]
-        high[active[above]], f_high[active[above]] = at[above], f[above]
+        self.low[active[below]], self.f_low[active[below]] = at[below], f[below]
+        self.high[active[above]], self.f_high[active[above]] = at[above], f[above]
         with np.errstate(all="ignore"):
-            secant = (f - f_last[active]) / (at - last[active])
-            apart = np.isfinite(secant) & (secant != 0) & (np.abs(at - last[active]) > _CLOSE)
-            slope[active] = np.where(apart, secant, slope[active])
-            new = at - f / slope[active]
+            secant = (f - self.f_last[active]) / (at - self.last[active])
+            apart = np.isfinite(secant) & (secant != 0) & (np.abs(at - self.last[active]) > _CLOSE)
+            self.slope[active] = np.where(apart, secant, self.slope[active])
+            new = at - f / self.slope[active]
         # a step that leaves the bracket is a bisection
-        fair = np.isfinite(new) & (new >= low[active] - _CLOSE) & (new <= high[active] + _CLOSE)
-        new = np.where(fair, new, (low[active] + high[active]) / 2)
-        change[active] = np.abs(new - at)
+        low, high = self.low[active], self.high[active]
+        fair = np.isfinite(new) & (new >= low - _CLOSE) & (new <= high + _CLOSE)
+        new = np.where(fair, new, (low + high) / 2)
+        self.change[active] = np.abs(new - at)
         for k, n in enumerate(active):
-            trials[n] = [*trials[n][-1:], found.take(np.array([k]))]
-        first_try, later = (np.where(smooth[active], limit, _EXACT) for limit in (_SMALL, _CLOSE))
-        done = change[active] < np.where(np.isfinite(last[active]), later, first_try)
+            self.trials[n] = [*self.trials[n][-1:], found.take(np.array([k]))]
+        first_try, later = (np.where(self.smooth[active], limit, _EXACT) for limit in (_SMALL, _CLOSE))
+        done = self.change[active] < np.where(np.isfinite(self.last[active]), later, first_try)
         for k in np.flatnonzero(done):
-            n = active[k]
-            if len(trials[n]) > 1 and change[n] > _EXACT:
-                before, latest = trials[n]
-                trials[n][-1] = _line(before, latest, (new[k] - last[n]) / (at[k] - last[n]))
-                share[n] = new[k]
-                change[n] *= abs(at[k] - last[n]) + change[n]
-            elif change[n] > _EXACT:
-                _, branch, i, _ = wanted[n]
-                trials[n][-1] = _shifted(curves[branch], i, trials[n][-1], at[k], new[k] - at[k])
-                share[n] = new[k]
-                change[n] *= 1e-2  # slopes are right to a few digits
-        last[active], f_last[active] = at, f
-        active, new = active[~done], new[~done]
-        if not len(active):
-            break
-        share[active] = new
-    out, missed = {}, []
-    for n, (kind, branch, i, _) in enumerate(wanted):
-        point = trials[n][-1]
-        if not point.ok[0] or not change[n] < 1e-5:
-            missed.append(wanted[n])
-            continue
+            self._finish(active[k], at[k], new[k])
+        self.last[active], self.f_last[active] = at, f
+        self.share[active[~done]] = new[~done]
+        return active[~done]
+
+    def _finish(self, n: int, at: float, new: float) -> None:
+        """Moves a root's last trial the rest of the way, from the share `at` to `new`."""
+        if not self.change[n] > _EXACT:
+            return
+        if len(self.trials[n]) > 1:
+            before, latest = self.trials[n]
+            apart = at - self.last[n]
+            self.trials[n][-1] = _line(before, latest, (new - self.last[n]) / apart)
+            self.change[n] *= abs(apart) + self.change[n]
+        else:
+            _, branch, i, _ = self.wanted[n]
+            self.trials[n][-1] = _shifted(self.curves[branch], i, self.trials[n][-1], at, new - at)
+            self.change[n] *= 1e-2  # slopes are right to a few digits
+        self.share[n] = new
+
+    def root(self, n: int) -> Located | None:
+        """A root with its error estimate; None where it was not found."""
+        kind, branch, i, _ = self.wanted[n]
+        point, change, gap = self.trials[n][-1], self.change[n], self.gap[n]
+        if not point.ok[0] or not change < 1e-5:
+            return None
         # what the remaining step along the branch would change in the located quantity
-        along = change[n] * gap[n] * np.abs(point.tangent[0] * SCALE) / np.maximum(np.abs(point.u[:, 0]), 1e-3)
+        along = change * gap * np.abs(point.tangent[0] * SCALE) / np.maximum(np.abs(point.u[:, 0]), 1e-3)
         if kind in FOLDS:
-            rest = along[min(FOLDS[kind], 2)] * change[n]
+            rest = along[min(FOLDS[kind], 2)] * change
         else:
             rest = along[1] if kind == PointKind.zero_voltage else along[1:].max()
-        position = curves[branch].position[i] + share[n] * gap[n]
-        out[wanted[n]] = Located(kind, branch, float(position), point, float(max(point.error[0], rest)))
-    return out, missed
+        position = self.curves[branch].position[i] + self.share[n] * gap
+        return Located(kind, branch, float(position), point, float(max(point.error[0], rest)))
+
+
+def _locate_roots(solver, curves, wanted, tolerance, near: dict):
+    """Roots of test functions by a secant method that keeps its brackets; and the wanted ones it failed for."""
+    if not wanted:
+        return {}, []
+    search, active = _Brackets(curves, wanted, near), np.arange(len(wanted))
+    for _ in range(_ROUNDS):
+        active = search.step(solver, active, tolerance)
+        if not len(active):
+            break
+    roots = {w: search.root(n) for n, w in enumerate(wanted)}
+    return {w: root for w, root in roots.items() if root is not None}, [w for w in wanted if roots[w] is None]
 
 
 def _is_fine(kind: PointKind) -> bool:

@@ -356,37 +356,42 @@ def _towards_cones(membrane, q: float, apex: np.ndarray) -> np.ndarray:
     return np.unique(np.concatenate(more))
 
 
-def _starts(membrane, q, name, wanted, limits, surface=None) -> tuple[np.ndarray, list[tuple]]:
-    """Guesses (3, n) for every state at load q with the wanted value, from a line of the chart; and near extremes.
+class _Line(typing.NamedTuple):
+    """States on a line of the chart at one load, by rising λa; `rows` numbers them along the line, as some may be missing."""
 
-    An extreme is its λa, the reach of λa about it, p and q.
-    """
+    load: float
+    apex: np.ndarray
+    pressure: np.ndarray
+    volume: np.ndarray
+    rows: np.ndarray
+
+
+def _line_at_load(membrane, q: float, limits, wanted_apex: float | None, surface) -> _Line:
+    """Tensile states at load q over the window, on nodes that crowd at its ends; one of them at `wanted_apex`, if given."""
     (low, high), _, loads = limits
     prestretch = float(membrane.prestretch)
     share = stretch_shares(max((low - prestretch) / (high - prestretch), 1e-9), 640)
     apex = np.minimum(prestretch + (high - prestretch) * share, high)
-    if name == "apex_stretch":
-        apex = np.sort(np.append(apex, wanted))
+    if wanted_apex is not None:
+        apex = np.sort(np.append(apex, wanted_apex))
     apex = _towards_cones(membrane, q, apex)
     fraction = q / largest_load(membrane.material, apex)
-    top = min(loads[1], 1 - _CONE)
-    inside = (fraction <= top) & (fraction >= loads[0])
+    inside = (fraction <= min(loads[1], 1 - _CONE)) & (fraction >= loads[0])
     if not inside.any():
-        return np.zeros((3, 0)), []
+        nothing = np.zeros(0)
+        return _Line(q, nothing, nothing, nothing, np.zeros(0, int))
     pressure, volume, slope = _line_states(membrane, apex[inside], fraction[inside], surface)
-    apex = apex[inside]
     ok = (slope < 0) & np.isfinite(pressure) & np.isfinite(volume) & (pressure > 0) & (volume > 0)
-    apex, pressure, volume, rows = (v[ok] for v in (apex, pressure, volume, np.flatnonzero(inside)))
-    if len(apex) < 2:
-        return np.zeros((3, 0)), []
-    if name == "apex_stretch":
-        i = int(np.argmin(np.abs(apex - wanted)))
-        there = abs(apex[i] - wanted) < 1e-12
-        return (np.array([[apex[i]], [pressure[i]], [q]]) if there else np.zeros((3, 0))), []
-    value = {"pressure": np.log(pressure / wanted), "volume": np.log(volume / wanted)}[name]
-    joined = np.diff(rows) == 1
+    return _Line(q, apex[inside][ok], pressure[ok], volume[ok], np.flatnonzero(inside)[ok])
+
+
+def _beside_extremes(line: _Line, value: np.ndarray) -> tuple[list[np.ndarray], list[tuple]]:
+    """Pairs of λa about an extreme of `value` between nodes that crosses zero, and extremes close to zero themselves.
+
+    The quintic through six neighbours gives the height of an extreme, which is its λa, the reach of λa about it, p and q.
+    """
+    apex, joined = line.apex, np.diff(line.rows) == 1
     guesses, extremes = list[np.ndarray](), list[tuple]()
-    # a local extremum between nodes may hide a pair of states: the quintic through six neighbours knows its height
     for i in np.flatnonzero(np.diff(value)[:-1] * np.diff(value)[1:] < 0) + 1:
         first = min(max(i - 2, 0), len(value) - 6)
         if first < 0 or not joined[i - 1 : i + 1].all():
@@ -402,12 +407,27 @@ def _starts(membrane, q, name, wanted, limits, surface=None) -> tuple[np.ndarray
             continue
         depth, curvature = quintic(top), bend(top)
         if abs(depth) < _NEAR_EXTREME:
-            extremes.append((apex[i] + reach * top, reach, float(pressure[i]), q))
-            continue
-        if value[i - 1] * value[i] > 0 and value[i] * value[i + 1] > 0 and depth * curvature < 1e-9 * curvature**2:
+            extremes.append((apex[i] + reach * top, reach, float(line.pressure[i]), line.load))
+        elif value[i - 1] * value[i] > 0 and value[i] * value[i + 1] > 0 and depth * curvature < 1e-9 * curvature**2:
             half = min(math.sqrt(max(-2 * depth / curvature, 1e-9)), 1.0)
             guesses.append(np.clip(apex[i] + reach * np.array([top - half, top + half]), apex[0], apex[-1]))
-    crossed = np.flatnonzero((value[:-1] * value[1:] <= 0) & joined)
+    return guesses, extremes
+
+
+def _starts(membrane, q, name, wanted, limits, surface=None) -> tuple[np.ndarray, list[tuple]]:
+    """Guesses (3, n) for every state at load q with the wanted value, from a line of the chart; and near extremes."""
+    prestretch = float(membrane.prestretch)
+    line = _line_at_load(membrane, q, limits, wanted if name == "apex_stretch" else None, surface)
+    apex, pressure = line.apex, line.pressure
+    if len(apex) < 2:
+        return np.zeros((3, 0)), []
+    if name == "apex_stretch":
+        i = int(np.argmin(np.abs(apex - wanted)))
+        there = abs(apex[i] - wanted) < 1e-12
+        return (np.array([[apex[i]], [pressure[i]], [q]]) if there else np.zeros((3, 0))), []
+    value = np.log((pressure if name == "pressure" else line.volume) / wanted)
+    guesses, extremes = _beside_extremes(line, value)
+    crossed = np.flatnonzero((value[:-1] * value[1:] <= 0) & (np.diff(line.rows) == 1))
     with np.errstate(invalid="ignore"):
         share = np.nan_to_num(value[crossed] / (value[crossed] - value[crossed + 1]), nan=0.5)
     single = apex[crossed] + share * np.diff(apex)[crossed]
@@ -416,7 +436,7 @@ def _starts(membrane, q, name, wanted, limits, surface=None) -> tuple[np.ndarray
     logs = np.log(pressure)
     places = np.concatenate([single, *guesses])
     out = [[a, p, q] for a, p in zip(places, np.exp(np.interp(places, apex, logs)), strict=True)]
-    if value[0] > 0 and rows[0] == 0:
+    if value[0] > 0 and line.rows[0] == 0:
         # below the first node: p and V are powers of λa − λ0 at the flat end
         rise = np.log((apex[1] - prestretch) / (apex[0] - prestretch)) / (value[1] - value[0])
         fall = -value[0] * rise

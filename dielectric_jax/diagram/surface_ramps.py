@@ -28,7 +28,7 @@ from ..surface import ROWS, ById, Conditions, Rows, Surface, crossings, rows_of
 from .landings import Landing, folds_ahead, landings
 from .ramps import APEX, ERROR, LOAD, PRESSURE, RampArrays, Ramps, Slot, ramps_of
 from .row_points import ContourOnRows, Events, first_place
-from .row_ramp import corrector_program, ramp_program, snap_program
+from .row_ramp import Crossed, corrector_program, ramp_program, snap_program
 from .scene_batch import SceneBatch
 
 __all__ = [
@@ -129,7 +129,7 @@ def _ramps_of_crossings(rows: Rows, start, conditions, crossed, kind: str):
     q, _, *crossed = crossed
     conditions = Conditions(*conditions, polytropic=kind == "polytropic")
     # a program of its own: fused with the crossings it would find them anew for every use
-    answer = ramp_program(rows, Events(*start), conditions, q, *crossed)
+    answer = ramp_program(rows, Events(*start), conditions, Crossed(q, *crossed))
     events, special, snaps, outcome, reach = (jax.tree.map(np.array, part) for part in answer)
 
     def worst():

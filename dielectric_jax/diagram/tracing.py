@@ -1,12 +1,14 @@
 """Continuation of a membrane's branches from many seeds at once, one compiled program for every loading."""
 
+import typing
+
 import jax.numpy as jnp
 import numpy as np
 
 from ..model import SCALE, ConstantVoltage, Membrane, compile_ahead, largest_load, rim_with_sensitivities, threads
 from ..numerics import Code, Problem, Steps, Trace, cached_jit, trace
 
-__all__ = ["run_trace", "run_traces", "warm_up"]
+__all__ = ["TraceGrid", "run_trace", "run_traces", "warm_up"]
 
 # towards lock-up the rim condition is a wall: a small step of Newton may begin far beyond it
 _STEPS = Steps(
@@ -32,18 +34,27 @@ _CODES = (
 )
 
 
-def branch_problem(
-    material, prestretch, condition, limits, accuracy, load_limits, lengths, steps: Steps = _STEPS
-) -> Problem:
+class TraceGrid(typing.NamedTuple):
+    """How finely a branch is traced.
+
+    `steps` of each shot, `load_limits`, the load fractions up to which that suffices near lock-up and elsewhere, and
+    `lengths` (3,): the smallest and largest step along the branch, and how far its first point may be from the seed.
+    """
+
+    steps: typing.Any
+    load_limits: typing.Any
+    lengths: typing.Any
+
+
+def branch_problem(material, prestretch, condition, limits, grid: TraceGrid, steps: Steps = _STEPS) -> Problem:
     """A loading's branches as a continuation problem in u = (λa, p, q).
 
-    `limits` is (λa, λa, t, t, λa from which it is near lock-up), `accuracy` the steps of the grid, `load_limits` the loads
-    fractions up to which it is used near lock-up and elsewhere.
+    `limits` is (λa, λa, t, t, λa from which it is near lock-up).
     """
 
     def linearise(u, args):
         material, prestretch, condition = args
-        stretch_change, volume, sensitivities = rim_with_sensitivities(material, u, accuracy)
+        stretch_change, volume, sensitivities = rim_with_sensitivities(material, u, grid.steps)
         by_p, by_v, by_q = condition.slopes(volume)
         rim = sensitivities[:, 0].at[0].add(1.0)
         along = by_v * sensitivities[:, 1] + jnp.stack([jnp.zeros_like(by_p), by_p, by_q])
@@ -56,7 +67,7 @@ def branch_problem(
     def margins(u, args):
         fraction = u[2] / largest_load(args[0], u[0])
         # where the grid of this accuracy ends: towards lock-up at a high load, and towards the cone
-        locking, elsewhere = load_limits
+        locking, elsewhere = grid.load_limits
         resolved = jnp.where(u[0] > limits[4], locking, elsewhere) - fraction
         # towards lock-up no grid resolves the membrane much beyond the scanned loads
         top = jnp.where(u[0] < limits[4], limits[3], jnp.minimum(limits[3], _LARGEST_LOAD_NEAR_LOCK_UP))
@@ -72,13 +83,14 @@ def branch_problem(
         steps=steps,
         linearise=linearise,
         monitors=lambda u, args: jnp.log(jnp.maximum(1 - u[2] / largest_load(args[0], u[0]), 1e-6)),
-        lengths=lengths,
+        lengths=grid.lengths,
     )
 
 
 @cached_jit
-def _trace_program(material, prestretch, condition, limits, seed, direction, active, accuracy, load_limits, lengths):
-    problem = branch_problem(material, prestretch, condition, limits, accuracy, load_limits, lengths)
+def _trace_program(membrane, condition, limits, start, active, grid: TraceGrid):
+    problem = branch_problem(membrane.material, membrane.prestretch, condition, limits, grid)
+    seed, direction = start
     return tuple(trace(problem, seed, direction, active))
 
 
@@ -98,22 +110,22 @@ def run_trace(membrane, condition, limits, seed, direction, *, level=0, largest=
     """
     level %= len(_TRACE_STEPS)
     start = np.asarray(seed), np.asarray(direction)
-    given = level, largest, _STEPS.largest, _MOST_PARTS
-    points, tangents, code = _run_trace(membrane, condition, limits, *start, *given)
+    points, tangents, code = _run_trace(
+        membrane, condition, limits, start, level, (largest, _STEPS.largest), _MOST_PARTS
+    )
     return points, tangents / SCALE, code
 
 
-def _run_trace(membrane, condition, limits, seed, direction, level, largest, farthest, parts):
-    """One trace; where it leaves the region its grid resolves it goes on from there on the finer grid.
+def _run_trace(membrane, condition, limits, start, level, bounds, parts):
+    """One trace from `start` = (seed, direction), its steps and the distance of its first point within `bounds`; where it leaves the region its grid resolves it goes on from there on the finer grid.
 
     Where it is as long as a compiled trace can be it goes on with another, of `parts` in all.
     """
     # at the flat end everything shrinks with λa − λ0; elsewhere a shorter step only meets the noise about a cone
-    flat = seed[0] - float(membrane.prestretch) < _FLAT
-    lengths = np.array([_STEPS.smallest * (1e-2 if flat else 1.0), largest, farthest])
-    grid = _TRACE_STEPS[level], np.array(_LOAD_LIMITS[level]), lengths
-    lanes = limits, seed, direction, True, *grid
-    done = Trace(*_trace_program(membrane.material, membrane.prestretch, condition, *lanes))
+    flat = start[0][0] - float(membrane.prestretch) < _FLAT
+    lengths = np.array([_STEPS.smallest * (1e-2 if flat else 1.0), *bounds])
+    grid = TraceGrid(_TRACE_STEPS[level], np.array(_LOAD_LIMITS[level]), lengths)
+    done = Trace(*_trace_program(membrane, condition, limits, start, True, grid))
     count, code = int(done.count), Code(int(done.code))
     points, tangents = np.asarray(done.points)[:count], np.asarray(done.tangents)[:count]
     long = code is Code.too_many_points and parts > 1
@@ -121,10 +133,10 @@ def _run_trace(membrane, condition, limits, seed, direction, level, largest, far
     if not (long or lost):
         return points, tangents, code
     if count <= 1:  # it never began
-        return _run_trace(membrane, condition, limits, seed, direction, level + 1, largest, farthest, parts)
+        return _run_trace(membrane, condition, limits, start, level + 1, bounds, parts)
     # on from the last point inside
-    further = level + lost, largest, _RESTART, parts - long
-    finer = _run_trace(membrane, condition, limits, points[-2], tangents[-2], *further)
+    further = level + lost, (bounds[0], _RESTART), parts - long
+    finer = _run_trace(membrane, condition, limits, (points[-2], tangents[-2]), *further)
     if len(finer[0]) < 2:
         return points[:-1], tangents[:-1], code if long else Code.step_too_small
     return np.concatenate([points[:-2], finer[0]]), np.concatenate([tangents[:-2], finer[1]]), finer[2]
@@ -136,7 +148,7 @@ def warm_up(membrane: Membrane) -> None:
     nothing = np.zeros(3)
 
     def trace_nothing():
-        limits, grid = np.ones(5), (_TRACE_STEPS[0], np.array(_LOAD_LIMITS[0]), np.ones(3))
-        _trace_program(membrane.material, membrane.prestretch, condition, limits, nothing, nothing, False, *grid)
+        grid = TraceGrid(_TRACE_STEPS[0], np.array(_LOAD_LIMITS[0]), np.ones(3))
+        _trace_program(membrane, condition, np.ones(5), (nothing, nothing), False, grid)
 
     compile_ahead(membrane, (trace_nothing,))

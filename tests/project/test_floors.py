@@ -96,12 +96,6 @@ def test_a_face_lists_what_it_gives(package):
 LARGE = {
     "design/conditions.py:_evaluated",
     "design/conditions.py:_linearised",
-    "diagram/batch_programs.py:correct_program",
-    "diagram/row_ramp.py:_ramp",
-    "diagram/special_points.py:_locate_roots",
-    "diagram/states.py:_starts",
-    "diagram/tracing.py:_run_trace",
-    "diagram/tracing.py:_trace_program",
     "model/corrector.py:_corrected_points",
     "model/corrector.py:estimated_error",
     "model/shooting.py:init",
