@@ -61,7 +61,7 @@ class Meter:
 
 
 def march_sides(membrane, condition, limits, walk, peak, grid):
-    return len(peak), batch_programs._PASSES * grid.steps * STAGES
+    return len(peak), batch_programs.PASSES * grid.steps * STAGES
 
 
 def correction_sides(membrane, condition, begin, goals, rounds, grid):

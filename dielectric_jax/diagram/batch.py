@@ -38,19 +38,20 @@ from .batch_ramps import RampArrays, assemble, have_others, ramps_on_lines
 from .landings import Landing, folds_ahead, landings
 from .polylines import Polylines
 from .ramps import APEX, LOAD, Ramps, Slot, ramps_of
+from .resolution import (
+    BATCH_BLOCK,
+    BATCH_LENGTHS,
+    BATCH_LOAD_LIMITS,
+    BATCH_MOST_POINTS,
+    BATCH_TRACE_STEPS,
+    SAME_LANDING,
+    START_LINE,
+)
 from .scene_batch import LANES, Corrected, SceneBatch, calls, padded, pick
 from .states import check_request
 from .tracing import TraceGrid
 
 __all__ = ["Batch", "condition_of", "continue_scenes", "stacked", "starts"]
-
-_BLOCK = 512  # scenes that are held together
-_LINE = 40  # stretches of the line of states at zero voltage
-# grids of the continuation, and the load fractions up to which each is used near lock-up and elsewhere
-_TRACE_STEPS, _LOAD_LIMITS = (7.0, 24.0), ((0.7, 0.85), (0.82, 0.97))
-_LENGTHS = np.array([2e-5, 2.0, 1.0])
-_MOST_POINTS = 120
-_SAME = 0.02  # of λa: a landing on the line and one that the scan shows
 
 
 class Batch(typing.NamedTuple):
@@ -94,7 +95,7 @@ def continue_scenes(scenes: Sequence[Scene], *, tolerance: float = 1e-8) -> Batc
         key.membrane.check_breaks_at_apex()
         groups.setdefault(jax.tree.structure(key.membrane), []).append(own)
     groups = {tree: np.sort(np.concatenate(parts)) for tree, parts in groups.items()}
-    share = min(_BLOCK, max(LANES, -(-len(scenes) // cores())))
+    share = min(BATCH_BLOCK, max(LANES, -(-len(scenes) // cores())))
     blocks = [own[i : i + share] for own in groups.values() for i in range(0, len(own), share)]
     with concurrent.futures.ThreadPoolExecutor(cores()) as pool:  # blocks wait for the threads of the map
         done = list(pool.map(lambda own: _block([scenes[i] for i in own], tolerance), blocks))
@@ -109,7 +110,7 @@ def continue_scenes(scenes: Sequence[Scene], *, tolerance: float = 1e-8) -> Batc
 
 @dataclasses.dataclass(frozen=True)
 class MembraneKey:
-    """A membrane told apart by its numbers, for caches."""
+    """A membrane identified by its numbers, as a key of caches."""
 
     membrane: Membrane = dataclasses.field(compare=False, hash=False)
     numbers: tuple
@@ -146,7 +147,7 @@ def _zero_line(key: MembraneKey):
     """Interpolants on the line of states at zero voltage: of log(λa − λ0), log p, log V by the place on it."""
     membrane = key.membrane
     rim, high = float(membrane.prestretch), membrane.lock_up_stretch()[0]
-    share = stretch_shares(1e-6, _LINE)
+    share = stretch_shares(1e-6, START_LINE)
     p, v, slope = map_nodes(membrane.material, rim + (high - rim) * share, 0.0, rim, 48.0)
     with np.errstate(all="ignore"):
         logs = np.log(np.stack([(high - rim) * share, p, v]))
@@ -156,7 +157,7 @@ def _zero_line(key: MembraneKey):
 
 def _first_place(line, row: int, wanted: np.ndarray) -> np.ndarray:
     """Where the interpolant of log p (row 1) or log V (row 2) first reaches the wanted values; NaN where it never does."""
-    fine = np.linspace(line.t[0], line.t[-1], 12 * _LINE)
+    fine = np.linspace(line.t[0], line.t[-1], 12 * START_LINE)
     values = line(fine)[row]
     peak = np.maximum.accumulate(values)
     i = np.searchsorted(peak, np.log(wanted))
@@ -259,7 +260,7 @@ class _March:
 
     def __post_init__(self):
         lines = len(self.owner)
-        self.points, self.tangents = (np.full((lines, _MOST_POINTS, 3), np.nan) for _ in range(2))
+        self.points, self.tangents = (np.full((lines, BATCH_MOST_POINTS, 3), np.nan) for _ in range(2))
         self.count = np.zeros(lines, int)
         self.code = np.full(lines, int(Code.not_converged))
         self.left = np.zeros(lines, bool)  # whether the line ends where it leaves the scanned window
@@ -268,19 +269,19 @@ class _March:
         """Follows every line from u (lines, 3) towards `headings`, on finer grids where a coarse one ends."""
         peak = np.zeros(len(self.owner))
         todo = np.flatnonzero(np.isfinite(u).all(axis=1))
-        for level, steps in enumerate(_TRACE_STEPS):
+        for level, steps in enumerate(BATCH_TRACE_STEPS):
             walk = new_walks(u, headings)
             self.code[todo] = int(Code.ok)
             going = todo
             while len(going):
                 for now in calls(going):
-                    self._advance(now, walk, peak, steps, np.array(_LOAD_LIMITS[level]))
-                full = going[self.count[going] >= _MOST_POINTS - 8]
+                    self._advance(now, walk, peak, steps, np.array(BATCH_LOAD_LIMITS[level]))
+                full = going[self.count[going] >= BATCH_MOST_POINTS - 8]
                 self.code[full[self.code[full] == int(Code.ok)]] = int(Code.too_many_points)
                 going = going[self.code[going] == int(Code.ok)]
             unfinished = np.isin(self.code[todo], (int(Code.beyond_tolerance), int(Code.step_too_small)))
             todo = todo[unfinished]
-            if not len(todo) or level + 1 == len(_TRACE_STEPS):
+            if not len(todo) or level + 1 == len(BATCH_TRACE_STEPS):
                 break
             begun = self.count[todo] > 1
             self.count[todo[begun]] -= 1  # on from the last point inside
@@ -288,8 +289,8 @@ class _March:
             u, headings = u.copy(), headings.copy()
             u[again], headings[again] = self.points[again, last] * SCALE, self.tangents[again, last] * SCALE
             self.count[again] -= 1
-        # what a coarser grid met further on is not part of the line
-        beyond = np.arange(_MOST_POINTS) >= self.count[:, None]
+        # what a coarser grid found further on is not part of the line
+        beyond = np.arange(BATCH_MOST_POINTS) >= self.count[:, None]
         self.points[beyond], self.tangents[beyond] = np.nan, np.nan
 
     def go_on(self) -> None:
@@ -309,7 +310,7 @@ class _March:
         going = lanes
         while len(going):
             for now in calls(going):
-                self._advance(now, walk, peak, _TRACE_STEPS[-1], np.array(_LOAD_LIMITS[-1]))
+                self._advance(now, walk, peak, BATCH_TRACE_STEPS[-1], np.array(BATCH_LOAD_LIMITS[-1]))
             at = np.maximum(self.count[going] - 1, 0)
             points = self.points[going, at] * SCALE
             with np.errstate(invalid="ignore"):
@@ -322,7 +323,7 @@ class _March:
             left = (left & ~turned) | beyond
             out = np.isin(self.code[going], (int(Code.window_stretch), int(Code.window_load), int(Code.lock_up)))
             self.left[going] = left | out
-            full = self.count[going] >= _MOST_POINTS - 8
+            full = self.count[going] >= BATCH_MOST_POINTS - 8
             going = going[~(turned | left | full) & (self.code[going] == int(Code.ok))]
         self.code[lanes] = int(Code.breakdown)
 
@@ -330,7 +331,7 @@ class _March:
         lanes, count = padded(now), len(now)
         own = self.owner[lanes]
         membrane, condition = pick(self.scene_batch.membrane, own), pick(self.scene_batch.condition, own)
-        begin = pick(walk, lanes), peak[lanes], TraceGrid(steps, load_limits, _LENGTHS)
+        begin = pick(walk, lanes), peak[lanes], TraceGrid(steps, load_limits, BATCH_LENGTHS)
         found, new_peak, passed = march_program(membrane, condition, self.limits[own], *begin)
         for store, values in zip(walk, found, strict=True):
             store[now] = np.asarray(values)[:count]
@@ -411,7 +412,9 @@ def _settle(
         found = landings(scene_batch, membrane, ends, folds, exact=False)
         # the line's own landing is exact; the scan only has to show the same
         with np.errstate(invalid="ignore"):
-            same = (outcome[ends] == Outcome.breakdown_in_snap) & (np.abs(found.guess[:, 0] / seen[:, 0] - 1) < _SAME)
+            same = (outcome[ends] == Outcome.breakdown_in_snap) & (
+                np.abs(found.guess[:, 0] / seen[:, 0] - 1) < SAME_LANDING
+            )
         same |= (outcome[ends] == Outcome.breakdown_in_snap) & (found.kind == Landing.unknown) & alone[landing]
         same |= found.kind == Landing.none
         rest = np.flatnonzero(~same)

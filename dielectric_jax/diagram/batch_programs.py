@@ -21,6 +21,7 @@ from ..model import (
     largest_load,
 )
 from ..numerics import Code, Steps, Walk, advance, cached_jit
+from .resolution import PASSES, SETTLED, SETTLED_FOLD, TANGENT_ERROR, TANGENTS_APART
 from .tracing import TraceGrid, branch_problem
 
 __all__ = [
@@ -31,8 +32,6 @@ __all__ = [
 ]
 
 
-_PASSES = 4
-_APART = 1e-5  # of points whose tangents tell how fast q turns
 _STEPS = Steps(
     first=0.2,
     largest=2.0,
@@ -44,9 +43,6 @@ _STEPS = Steps(
     cubic=True,
 )
 _SCALE = SCALE[:, None]
-_SETTLED = 3e-4  # last move of Newton whose remainder a chord step on the finer grid removes
-_SETTLED_FOLD = 1e-4  # there the secant converges more slowly
-_OF_TANGENT = 10  # a tangent's error by that of the residual on the same grid, measured
 
 
 def new_walks(u: np.ndarray, headings: np.ndarray) -> Walk:
@@ -88,7 +84,7 @@ def march_program(membrane, condition, limits, walk, peak, grid: TraceGrid):
         peak = jnp.where(accept, jnp.maximum(peak, highest), peak)
         return (walk._replace(code=code), peak), (walk.base, walk.tangent, accept)
 
-    (walk, peak), passed = jax.lax.scan(one_pass, (walk, peak), length=_PASSES)
+    (walk, peak), passed = jax.lax.scan(one_pass, (walk, peak), length=PASSES)
     return tuple(walk), peak, passed
 
 
@@ -211,11 +207,11 @@ def _settle(membrane, condition, goals: Goals, grid, newton: _Newton, residual, 
     error = estimated_error(u, volume, jacobian, sensitivities, *change, relative * contraction)
     rate = jnp.sum(sensitivities[:, 1] * null * _SCALE, axis=0)
     fold, size = goals.folds, jnp.linalg.norm(step, axis=0)
-    along = jnp.abs(jnp.sum(move * null, axis=0)) * doubt + _OF_TANGENT * size / jnp.abs(slope)
+    along = jnp.abs(jnp.sum(move * null, axis=0)) * doubt + TANGENT_ERROR * size / jnp.abs(slope)
     of_load = jnp.abs(slope) * along**2 * SCALE[2] / jnp.maximum(jnp.abs(u[2]), 1e-3)
     error = error + jnp.where(fold, of_load, 0.0)
     spread = jnp.where(fold, jnp.abs(rate) * along / jnp.maximum(jnp.abs(volume), 1e-3), 0.0)
-    settled = (size < _SETTLED) & (jnp.linalg.norm(move, axis=0) < jnp.where(fold, _SETTLED_FOLD, 30 * _SETTLED))
+    settled = (size < SETTLED) & (jnp.linalg.norm(move, axis=0) < jnp.where(fold, SETTLED_FOLD, 30 * SETTLED))
     settled &= jnp.all(jnp.isfinite(u), axis=0) & jnp.isfinite(error)
     index = index_of(newton.zeros, jacobian, sensitivities, volume, condition)
     return u, volume, null, rate, index, error, spread, settled, slope, jnp.linalg.norm(move, axis=0)
@@ -230,7 +226,7 @@ def _newton_step(membrane, condition, goals: Goals, steps, state: _Newton) -> _N
     tangent = _null(jacobian, state.tangent)
     apart = jnp.sum((u - last_u) / _SCALE * tangent, axis=0)
     secant = (tangent[2] - last_g) / apart
-    fair = (jnp.abs(apart) > _APART) & (secant * slope > 0)  # nearer points show the noise
+    fair = (jnp.abs(apart) > TANGENTS_APART) & (secant * slope > 0)  # nearer points show the noise
     # the change of the slope shows how wrong the one before was; the new one is better as its points are nearer
     doubt = jnp.abs(1 - slope / secant) * jnp.minimum(1.0, jnp.abs(apart / last_apart))
     known = jnp.where(fair, jnp.stack([secant, apart, doubt]), state.secant)

@@ -19,20 +19,26 @@ from ..model import (
 )
 from .polylines import Places, Polylines
 from .ramps import LISTED, SLOTS, RampArrays, Slot
+from .resolution import (
+    AMBIGUOUS_ON_LINES,
+    CLEAR_DIP,
+    DENSE_POINTS,
+    EVENT_REACH,
+    LOOKS,
+    OTHER_BRANCH_STRIDE,
+    SCENES_TOGETHER,
+)
 from .scene_batch import Corrected, SceneBatch, pick
 
 __all__ = ["Assembly", "Events", "assemble", "have_others", "ramps_on_lines"]
 
 
-_LOOKS = 5
-_CLEAR = 0.2  # of the smaller end slope: a dip of the slope that stays above it hides nothing
 _PLACE = ("line", "interval", "share")
-_REACH = 0.6  # of the chord of its interval, how far an event may lie from where the interpolant shows it
 
 
 @dataclasses.dataclass
 class Events:
-    """Exact points on lines, in any order: `line`, place along it, what was met, and for crossings the fold they belong to."""
+    """Exact points on lines, in any order: `line`, place along it, the state there, and for crossings the fold they belong to."""
 
     line: np.ndarray
     position: np.ndarray
@@ -54,7 +60,7 @@ def _meet_places(
     across = np.isnan(targets)
     rows = np.where(across[:, None], tangent / SCALE, np.array([0.0, 0.0, 1.0]))
     targets = np.where(across, (tangent * at).sum(axis=1), targets)
-    reach = _REACH * lines.lengths[places.line, places.interval] + 1e-6
+    reach = EVENT_REACH * lines.lengths[places.line, places.interval] + 1e-6
     which = owner[places.line]
     corrected = scene_batch.correct(which, at * SCALE, rows, targets, kinds, tolerance=tolerance, reach=reach)
     sign = np.where((corrected.tangent * tangent).sum(axis=1) < 0, -1.0, 1.0)
@@ -82,18 +88,18 @@ def _find_folds(scene_batch: SceneBatch, owner, lines: Polylines, tolerance: flo
 
     The last are positions (lines,) beyond which a fold may be missing, infinite where there is no doubt.
 
-    Where an interpolant hides a pair of turns, or a turn is not met, the points of the line are made exact first, which
+    Where an interpolant hides a pair of turns, or a turn is not found, the points of the line are made exact first, which
     traced points are not, and then more are put where its slope dips towards zero.
     """
     sure = np.full(len(owner), np.inf)
     inexact = np.ones(len(owner), bool)
     done = Corrected.nothing(0), Places(np.zeros(0, int), np.zeros(0, int), np.zeros(0))
     todo = np.arange(len(owner))
-    for _ in range(_LOOKS):
+    for _ in range(LOOKS):
         turns, dips = lines.turns(2)
         turns, dips = (p.take(np.isin(p.line, todo)) for p in (turns, dips))
         at, tangent, bend = lines.at(turns)
-        reach = _REACH * lines.lengths[turns.line, turns.interval] + 1e-6
+        reach = EVENT_REACH * lines.lengths[turns.line, turns.interval] + 1e-6
         start = owner[turns.line], at * SCALE, tangent, bend[:, 2]
         corrected = scene_batch.correct_folds(*start, tolerance=tolerance, reach=reach)
         sign = np.where((corrected.tangent * tangent).sum(axis=1) < 0, -1.0, 1.0)
@@ -157,7 +163,7 @@ def _harmless(lines: Polylines, dips: Places, inexact: np.ndarray) -> np.ndarray
     _, tangent, _ = lines.at(dips)
     ends = [lines.tangents[dips.line, dips.interval + k, 2] for k in (0, 1)]
     least = np.where(ends[0] > 0, tangent[:, 2], -tangent[:, 2])
-    return ~inexact[dips.line] & (least > _CLEAR * np.minimum(*np.abs(ends)))
+    return ~inexact[dips.line] & (least > CLEAR_DIP * np.minimum(*np.abs(ends)))
 
 
 def assemble(scene_batch: SceneBatch, owner: np.ndarray, lines: Polylines, tolerance: float) -> "Assembly":
@@ -174,7 +180,7 @@ def assemble(scene_batch: SceneBatch, owner: np.ndarray, lines: Polylines, toler
     broken, slope = np.full_like(q, np.nan), np.full_like(q, np.nan)
     broken[line, point], slope[line, point], _ = scene_batch.limits(lines.points[line, point, 0], owner[line])
     everything = np.arange(len(owner))
-    # at a fold its own load is met, not crossed
+    # at a fold its own load is touched, not crossed
     own_load = folds.corrected.u[:, 2]
     of_fold, on = np.nonzero(owner[folds.line][:, None] == owner[None])
     at_load = q[on] - own_load[of_fold][:, None]
@@ -212,7 +218,7 @@ def assemble(scene_batch: SceneBatch, owner: np.ndarray, lines: Polylines, toler
             / np.maximum(np.abs(corrected.volume), 1e-3)
         )
     corrected = corrected._replace(spread=np.where(sets == 1, 0.0, far))
-    # in the order of the states met: beside each other their guesses on the cubic may be in another
+    # in the order of the states found: beside each other their guesses on the cubic may be in another
     begin, chord = (lines.points[places.line, places.interval + k] for k in (0, 1))
     chord = chord - begin
     share = ((corrected.u / SCALE - begin) * chord).sum(axis=1) / (chord**2).sum(axis=1)
@@ -235,7 +241,6 @@ class Assembly:
 
 
 _SNAPS = 2
-_AMBIGUOUS = 1e-6  # a landing this near to breakdown is not told
 
 
 def _values(corrected: Corrected) -> np.ndarray:
@@ -349,7 +354,7 @@ class _Ramp:
                 return Outcome.no_landing  # on this line
             self.put(Slot.landings.start + stage, "crossings", landing)
             load, limit = of.folds.corrected.u[fold, 2], self.limits[0, landing]
-            if abs(load - limit) <= _AMBIGUOUS * limit:
+            if abs(load - limit) <= AMBIGUOUS_ON_LINES * limit:
                 return Outcome.unresolved
             if load >= limit:
                 return Outcome.breakdown_in_snap
@@ -436,11 +441,6 @@ def ramps_on_lines(
     return RampArrays(all_events, folds, zeros, breaks, snaps, outcome, np.full((scenes, 2), np.nan), ahead)
 
 
-_DENSE = 6, 16, 200  # points on an interval of a line: closer where cells are left, as rows crowd towards lock-up
-_TOGETHER = 32  # scenes that are looked at together, in the cache
-_EVERY = 3  # node of the scan is enough to see another branch
-
-
 def _spread(cells: np.ndarray) -> np.ndarray:
     """Cells (…, rows, columns) and their neighbours."""
     rows = cells.copy()
@@ -457,8 +457,8 @@ def have_others(membrane: Membrane, own: np.ndarray, scene_batch: SceneBatch, li
     found = np.zeros(len(own), bool)
     stretches, _, loads = Scene(membrane, ConstantVoltage(0.0)).limits()
     chart = cached_scan(membrane, stretches, loads)
-    columns = np.flatnonzero(chart.load_fraction >= -0.02)[::_EVERY]
-    rows = np.arange(0, len(chart.apex_stretch), _EVERY)
+    columns = np.flatnonzero(chart.load_fraction >= -0.02)[::OTHER_BRANCH_STRIDE]
+    rows = np.arange(0, len(chart.apex_stretch), OTHER_BRANCH_STRIDE)
     apex, t = chart.apex_stretch[rows], chart.load_fraction[columns]
     p, v = (field[np.ix_(rows, columns)] for field in (chart.pressure, chart.volume))
     q = t * chart.largest_load[rows, None]
@@ -468,15 +468,15 @@ def have_others(membrane: Membrane, own: np.ndarray, scene_batch: SceneBatch, li
     known &= (q[:-1, :-1] <= breaks[:-1, None]) & (t[:-1] >= 0)
     nodes = np.flatnonzero(_spread(np.pad(known, ((0, 1), (0, 1)))[None]))
     at_nodes = [field.ravel()[nodes] for field in (p, v, q)]
-    for i in range(0, len(own), _TOGETHER):
-        some = own[i : i + _TOGETHER]
+    for i in range(0, len(own), SCENES_TOGETHER):
+        some = own[i : i + SCENES_TOGETHER]
         condition = jax.tree.map(lambda leaf: leaf[:, None], pick(scene_batch.condition, some))
         sign = np.zeros((len(some), *p.shape), bool)
         with np.errstate(invalid="ignore"):
             sign.reshape(len(some), -1)[:, nodes] = condition.residual(*at_nodes) < 0
         along, across = sign[..., 1:] ^ sign[..., :-1], sign[:, 1:] ^ sign[:, :-1]
         away = known & (along[:, 1:] | along[:, :-1] | across[..., 1:])
-        for most in _DENSE:
+        for most in DENSE_POINTS:
             which = np.flatnonzero(away.any(axis=(1, 2)))
             if not len(which):
                 break
@@ -489,5 +489,5 @@ def have_others(membrane: Membrane, own: np.ndarray, scene_batch: SceneBatch, li
             near = np.zeros((len(which), *known.shape), bool)
             near[line, row, column] = True
             away[which] &= ~_spread(near)
-        found[i : i + _TOGETHER] = away.any(axis=(1, 2))
+        found[i : i + SCENES_TOGETHER] = away.any(axis=(1, 2))
     return found

@@ -29,6 +29,7 @@ from ..model import (
 )
 from ..numerics import Code
 from .mesh import Curve, clip_to_window, exact_curve, hermite, scaled
+from .resolution import CONTOUR_STRIDE, COSTLY_LOAD, LARGEST_STEPS, NEAR_ON_SCAN, SAME_ON_SCAN, SCAN_MARGIN
 from .special_points import FOLDS, Located, brackets, loads_beside_folds, locate
 from .states import states_of
 from .surface_contours import OnSurface, margins, surface_branches
@@ -37,16 +38,11 @@ from .tracing import run_trace, run_traces
 __all__ = ["Solved", "find_curves", "special_record"]
 
 
-_NEAR, _SAME = 0.2, 0.03  # on the chart, in tenths of its extent: on one branch as the scan sees it; the same point
-_LARGEST = (1.0, 0.2, 0.05)  # steps of the rounds in which branches are looked for
-_THIN = 3  # every third vertex of a contour is close enough to its neighbours
-_MARGIN = 0.02  # of the scanned loads: what lies there may be an error of interpolation
 _GAVE_UP = (Code.too_many_points, Code.step_too_small, Code.not_converged, Code.beyond_tolerance)
-_DEAR = 0.6  # load fraction near lock-up from which continuation takes most of its time
 
 
 def _on_chart(membrane: Membrane, u: np.ndarray) -> np.ndarray:
-    """Points (n, 3) as (λa, t) in tenths of the chart's extent, in which branches are told apart."""
+    """Points (n, 3) as (λa, t) in tenths of the chart's extent, in which branches are distinguished."""
     span = membrane.lock_up_stretch()[0] - float(membrane.prestretch)
     fraction = u[:, 2] / largest_load(membrane.material, u[:, 0])
     return 10 * np.stack([(u[:, 0] - float(membrane.prestretch)) / span, fraction], axis=1)
@@ -91,7 +87,7 @@ def find_curves(solver, limits, *, count: int, tolerance: float, extend: bool = 
     lines = surface_branches(solver, box, follow if extend else None) if isinstance(solver, OnSurface) else []
     chart = cached_scan(membrane, stretches, loads)
     contours = chart.contours(condition)
-    more, pending = _traced(membrane, condition, limits, contours, lines, chart, len(_LARGEST) if extend else 0)
+    more, pending = _traced(membrane, condition, limits, contours, lines, chart, len(LARGEST_STEPS) if extend else 0)
     curves, complete = [], True
     for line, tangents, codes in lines + more:
         x = scaled(line)
@@ -121,7 +117,7 @@ def _traced(membrane, condition, limits, contours, known: list, chart: Scan, rou
     if known:
         pending = [part for c in pending if (part := _uncovered(membrane, c, shadows, top, 0.0)) is not None]
     # a coarse grid or a long step may join branches that nearly meet: what is still uncovered is tried on finer ones
-    for level, largest in tuple(enumerate(_LARGEST))[:rounds]:
+    for level, largest in tuple(enumerate(LARGEST_STEPS))[:rounds]:
         seeds, headings = [], []
         for vertices in pending:
             seed, heading = _seed(membrane, vertices)
@@ -137,7 +133,7 @@ def _traced(membrane, condition, limits, contours, known: list, chart: Scan, rou
             line, tangents, codes = joined
             shadow = _on_chart(membrane, _dense(line, tangents))
             middle = len(shadow) // 2
-            if any(_distance_to_polyline(shadow[middle : middle + 1], other)[0] < _SAME for other in shadows):
+            if any(_distance_to_polyline(shadow[middle : middle + 1], other)[0] < SAME_ON_SCAN for other in shadows):
                 continue
             lines.append((line, tangents, codes))
             shadows.append(shadow)
@@ -183,7 +179,7 @@ def _seed(membrane, vertices):
     x = scaled(vertices)
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(x, axis=0), axis=1))])
     middle = np.searchsorted(arc, arc[-1] / 2)
-    dear = (vertices[:, 0] > locking_stretch(membrane)) & (_on_chart(membrane, vertices)[:, 1] > 10 * _DEAR)
+    dear = (vertices[:, 0] > locking_stretch(membrane)) & (_on_chart(membrane, vertices)[:, 1] > 10 * COSTLY_LOAD)
     if dear[0] != dear[-1]:
         middle = np.argmin(dear) if dear[0] else np.argmax(dear)
     i = int(np.clip(middle, 1, len(x) - 2))
@@ -202,13 +198,15 @@ def _join(ahead, behind):
     return line, tangents, (behind[2], ahead[2])
 
 
-def _uncovered(membrane, vertices, shadows, top, margin=_MARGIN):
+def _uncovered(membrane, vertices, shadows, top, margin=SCAN_MARGIN):
     """The longest run of a contour's vertices that no traced line comes near, or None."""
     here = _on_chart(membrane, vertices)
     away = np.full(len(vertices), np.inf)
     for shadow in shadows:
-        away = np.minimum(away, np.repeat(_distance_to_polyline(here[::_THIN], shadow), _THIN)[: len(here)])
-    far = (away > _NEAR) & (here[:, 1] < 10 * (top - margin))
+        away = np.minimum(
+            away, np.repeat(_distance_to_polyline(here[::CONTOUR_STRIDE], shadow), CONTOUR_STRIDE)[: len(here)]
+        )
+    far = (away > NEAR_ON_SCAN) & (here[:, 1] < 10 * (top - margin))
     if not far.any():
         return None
     edges = np.flatnonzero(np.diff(np.concatenate([[0], far.view(np.int8), [0]])))
@@ -218,7 +216,7 @@ def _uncovered(membrane, vertices, shadows, top, margin=_MARGIN):
 
 
 def _distinct(membrane, curves: list[Curve]) -> list[Curve]:
-    """The curves without those that run along a longer one: two seeds may have met the same branch."""
+    """The curves without those that run along a longer one: two seeds may have led to the same branch."""
     shadows = [_on_chart(membrane, _dense(c.points.u.T, c.points.tangent)) for c in curves]
     lengths = [np.linalg.norm(np.diff(shadow, axis=0), axis=1).sum() for shadow in shadows]
     kept: list[int] = []
@@ -262,7 +260,7 @@ def _ended(membrane, curve: Curve) -> bool:
     """Whether both ends of a curve lie at an edge of the window or beyond the scanned loads, and not where its trace gave up."""
     fraction = load_fraction(membrane, curve.points.u[:, [0, -1]])
     ends = zip((curve.start, curve.end), fraction, strict=True)
-    return all(code not in _GAVE_UP or t > SCANNED_LOAD - _MARGIN for code, t in ends)
+    return all(code not in _GAVE_UP or t > SCANNED_LOAD - SCAN_MARGIN for code, t in ends)
 
 
 def _agrees(membrane, curve: Curve, contours, chart: Scan) -> bool:
@@ -276,9 +274,9 @@ def _agrees(membrane, curve: Curve, contours, chart: Scan) -> bool:
         return True
     away = np.full(int(inside.sum()), np.inf)
     for vertices in contours:
-        few = vertices[::_THIN] if len(vertices) > _THIN else vertices
+        few = vertices[::CONTOUR_STRIDE] if len(vertices) > CONTOUR_STRIDE else vertices
         away = np.minimum(away, _distance_to_polyline(here[inside], _on_chart(membrane, few)))
-    return bool((away < _NEAR).all())
+    return bool((away < NEAR_ON_SCAN).all())
 
 
 def special_record(located: Located, tolerance: float) -> SpecialPoint:
@@ -321,7 +319,7 @@ class Solved:
         return float(located.point.control(self.control)[0])
 
     def place(self, located: Located) -> float:
-        """By what states at one control are told apart: the volume, or the apex stretch where the volume is held."""
+        """By what states at one control are distinguished: the volume, or the apex stretch where the volume is held."""
         return float(located.point.place(self.solver.condition)[0])
 
     def states_at(self, squared: float) -> list[Located]:

@@ -40,6 +40,7 @@ from ..surface import Surface
 from .branches import Solved, find_curves, special_record
 from .mesh import Curve
 from .ramp import build_ramp, build_way_back, flat_ramp
+from .resolution import MESH_POINTS
 from .special_points import fold_events, special_points
 from .states import (
     check_concrete,
@@ -161,9 +162,9 @@ class Diagram:
     def _repr_html_(self) -> str:
         units = self.scene.units
         title = f"{self.kind}, {len(self.branches)} branches, {'complete' if self.complete else 'not complete'}"
-        told = points_table(self.special_points, title, units)
+        table = points_table(self.special_points, title, units)
         strain = "" if self.area_strain is None else f"area strain {self.area_strain:.6g} ({self.area_strain_reason})"
-        return told + (events_table(self.events, strain, units) if self.events else "")
+        return table + (events_table(self.events, strain, units) if self.events else "")
 
     def __repr__(self) -> str:
         lines = [f"Diagram({self.kind}, engine={self.engine}, complete={self.complete}"]
@@ -176,11 +177,8 @@ class Diagram:
         return "\n".join(lines) + ")"
 
 
-_MESH_POINTS = 256  # of a branch, at least: special points are sought between them
-
-
 def _branches(solved: Solved, points: int) -> list[Branch]:
-    """The records of all branches; one on which a special point is known to lie but was not met says so."""
+    """The records of all branches; one on which a special point is known to lie but was not located says so."""
     lost = {branch for _, branch, *_ in solved.missed}
     flags = [("special_point_lost",) if k in lost else () for k in range(len(solved.curves))]
     return [_branch(c, solved.tolerance, points, more) for c, more in zip(solved.curves, flags, strict=True)]
@@ -189,7 +187,7 @@ def _branches(solved: Solved, points: int) -> list[Branch]:
 def _branch(curve: Curve, tolerance: float, points: int, more_flags: tuple) -> Branch:
     """The record of a branch; fewer points than stations are thinned out of them."""
     chosen = np.arange(len(curve.points))
-    if points < _MESH_POINTS and len(chosen) > points:
+    if points < MESH_POINTS and len(chosen) > points:
         chosen = np.unique(np.linspace(0, len(chosen) - 1, points).round().astype(int))
     states = states_of(curve.points.take(chosen), tolerance)
     columns = {f: np.array([getattr(s, f) for s in states]) for f in State.__dataclass_fields__ if f != "flags"}
@@ -203,7 +201,7 @@ def _solver(membrane: Membrane, condition: LoadingCondition, surface: Surface | 
 
 
 def _solve(solver, limits, kinds, points, tolerance, certify: bool, extend: bool) -> tuple[Solved, bool]:
-    count = max(points, _MESH_POINTS)
+    count = max(points, MESH_POINTS)
     curves, complete = find_curves(solver, limits, count=count, tolerance=tolerance, extend=extend)
     if not curves:
         raise SceneError(Code.no_equilibrium)
@@ -259,7 +257,7 @@ def voltage_volume(
     The loading is a chamber, a constant pressure or a prescribed volume; under `ChargeControl` folds, indices and the ramp
     are those of the charge.
     Arguments: `points` a branch; `tolerance` of the error estimate, from 1e-12 to 1e-3. With a `surface` of the scene's
-    membrane, branches are contours on it, met by Newton without stepping; where they leave its domain shooting goes on,
+    membrane, branches are contours on it, found by Newton without stepping; where they leave its domain shooting goes on,
     or with `extend=False` they end there. `certify` polishes special points by shooting; the correction is part of their
     error. Both mean nothing without a surface.
     Raises ValueError for bad input and SceneError where no tensile equilibrium lies in the window.

@@ -33,22 +33,20 @@ from ..numerics import Code, SceneError, cached_jit
 from ..plot import plot_diagram
 from ..surface import ById, Rows, Surface, rows_of
 from .ramps import LOAD
+from .resolution import GLANCE_NEWTON, GLANCE_REACH, MOST_PRESSURE_POINTS
 from .states import check_concrete, check_surface
 from .surface_ramps import Curves, Ramps, curves_and_ramps, filling_volumes
 
 __all__ = ["Glance", "glance"]
 
-_MOST = 8  # folds, and places of breakdown, of a pressure–volume curve
-_NEWTON = 4
 _NOTHING = "The rows of the surface hold no state of this scene; voltage_volume and pressure_volume look farther."
-_NEAR = 0.05  # of λa: how far Newton's method may go from the spline's guess
 
 
 @dataclasses.dataclass(frozen=True)
 class Glance:
     """What the plots need of a `Diagram`: `kind`, branches, special points, events of the ramp; and its regime.
 
-    Along branches `index` is 0 where the control rises with the stretch of the apex and 1 elsewhere; of points it is not told.
+    Along branches `index` is 0 where the control rises with the stretch of the apex and 1 elsewhere; of points it is unknown.
     `outcome` is None for a pressure–volume curve. `several` says whether the curve has gaps where a stretch of the apex
     belongs to several states.
     """
@@ -79,8 +77,8 @@ class Glance:
 
     def _repr_html_(self) -> str:
         units = self.scene.units
-        told = points_table(self.special_points, f"{self.kind}, read off a surface", units)
-        return told + (events_table(self.events, self.regime.name, units) if self.events else "")
+        table = points_table(self.special_points, f"{self.kind}, read off a surface", units)
+        return table + (events_table(self.events, self.regime.name, units) if self.events else "")
 
     def __repr__(self) -> str:
         path = " → ".join(event.event for event in self.events)
@@ -208,7 +206,9 @@ def _states(rows: Rows, found, make=State, **more) -> list:
     count = len(apex)
     if not count:
         return []
-    limit = np.asarray(_breakdown_load(rows.surface, np.pad(apex, (0, _MOST - count), mode="edge")))[:count]
+    limit = np.asarray(_breakdown_load(rows.surface, np.pad(apex, (0, MOST_PRESSURE_POINTS - count), mode="edge")))[
+        :count
+    ]
     columns = {"voltage_squared": q, "pressure": pressure, "volume": volume, "apex_stretch": apex}
     columns |= {"breakdown_ratio": np.sqrt(q / limit), "error_estimate": error}
     rest = {"height": np.nan, "charge": np.nan, "index": None} | more
@@ -255,7 +255,7 @@ def _on_surface(surface: Surface, apex, q):
 
 
 @cached_jit
-def _met(surface: Surface, apex, q):
+def _located(surface: Surface, apex, q):
     """From λa near the extremes of p at q, and near breakdown: those λa by Newton's method, of one shape each."""
 
     def slope(a):
@@ -265,7 +265,7 @@ def _met(surface: Surface, apex, q):
         return surface.breakdown_load(a) - q
 
     def newton(function, a):
-        for _ in range(_NEWTON):
+        for _ in range(GLANCE_NEWTON):
             value, rate = jax.jvp(function, (a,), (jnp.ones_like(a),))
             a = a - value / rate
         return a
@@ -287,19 +287,24 @@ def _pressure_volume(scene: Scene, surface: Surface, voltage: float) -> Glance:
 
 
 def _extremes(surface: Surface, branch: Branch, number: int) -> typing.Iterator[SpecialPoint]:
-    """Folds of the pressure and breakdown along a branch: guessed by splines through its rows, met on the surface."""
+    """Folds of the pressure and breakdown along a branch: guessed by splines through its rows, located on the surface."""
     place = np.arange(len(branch), dtype=float)
     q = branch.voltage_squared[0]
     rising = make_interp_spline(place, branch.pressure, k=5).derivative()
     excess = make_interp_spline(place, np.nan_to_num(branch.breakdown_ratio) - 1, k=5)
     apex = make_interp_spline(place, branch.apex_stretch, k=5)
     guesses = [apex(PPoly.from_spline(line).roots(extrapolate=False)) for line in (rising, excess)]
-    packed = np.stack([np.pad(g[:_MOST], (0, max(0, _MOST - len(g))), constant_values=np.nan) for g in guesses])
-    met = np.stack(_met(surface, packed, q))
-    pressure, volume, error, ratio = map(np.asarray, _on_surface(surface, met, np.full_like(met, q)))
+    packed = np.stack(
+        [
+            np.pad(g[:MOST_PRESSURE_POINTS], (0, max(0, MOST_PRESSURE_POINTS - len(g))), constant_values=np.nan)
+            for g in guesses
+        ]
+    )
+    located = np.stack(_located(surface, packed, q))
+    pressure, volume, error, ratio = map(np.asarray, _on_surface(surface, located, np.full_like(located, q)))
     with np.errstate(invalid="ignore"):
-        found = np.isfinite(pressure) & (np.abs(met - packed) < _NEAR)
+        found = np.isfinite(pressure) & (np.abs(located - packed) < GLANCE_REACH)
     for kind, row in ((PointKind.fold, 0), (PointKind.breakdown, 1)):
         for k in np.flatnonzero(found[row]):
-            a, p, v, e, r = (float(values[row, k]) for values in (met, pressure, volume, error, ratio))
+            a, p, v, e, r = (float(values[row, k]) for values in (located, pressure, volume, error, ratio))
             yield SpecialPoint(float(q), p, v, a, np.nan, np.nan, r, None, e, kind=kind, branch=number)

@@ -28,25 +28,30 @@ from ..model import (
 )
 from ..surface import ById
 from .ramps import LOAD, VOLUME
+from .resolution import (
+    ABOUT_BREAKDOWN,
+    CHORDS,
+    CLOSE_ROWS,
+    EXACT_MAP_STEPS,
+    FALL,
+    LANDING_REACH,
+    LANDING_TOLERANCE,
+    LANES_TOGETHER,
+    LEAP,
+    LOAD_PER_NOISE,
+    NOISE_BAND,
+    NOISE_SAFETY,
+    NOISE_SAMPLES,
+    SCAN_NODES,
+    SCAN_NOISE,
+    SCAN_STRIDE,
+    SETTLED_CROSSING,
+    SLOW_RISE,
+    TURNING,
+)
 from .scene_batch import Corrected, SceneBatch, pick
 
 __all__ = ["Landing", "Landings", "folds_ahead", "landings"]
-
-_EVERY = 2  # row of the scan is enough for contours
-_NODES = 4  # of the polynomial along the load
-_NOISE = 1e-5  # of the pressure: what the interpolated scan leaves unclear, at least
-_BAND, _SAMPLES, _SAFETY = 12, 6, 3.0  # rows whose error is measured together, at so many states a panel; its factor
-_ABOUT = 0.02  # of the breakdown load: a landing this near to it is settled by an exact state
-_TOGETHER = 64  # lanes that are looked at together, in the cache
-_TOLERANCE = 1e-9
-_EXACT_STEPS = 128.0  # of the explicit map, right to 1e-8
-_REACH = 0.3  # in scaled unknowns, from where the scan shows a landing to the exact one
-_LEAP = 0.12  # of t between rows: further apart two crossings are not one contour
-_CHORDS, _SETTLED = 3, 1e-4  # steps to a crossing; the last of them, in t
-_FALL = 1e-4  # of a load: a maximum by which it falls again is a fold
-_PER_NOISE = 10.0  # of the load, for a relative error of the pressure
-_CLOSE, _SLOW = 1e-3, 0.02  # of the stretch; of q/λa: a slope dq/dλa below it may hide two folds
-_TURNING = 0.2  # of the rise before: a contour that leaves the window more slowly may turn outside
 
 
 class Landing(enum.IntEnum):
@@ -83,12 +88,12 @@ class _Field:
 
     def noise_at(self, row, t) -> np.ndarray:
         """What the scan leaves unclear of a pressure, relative, on rows at load fractions, arrays of one shape."""
-        return self.noise[np.asarray(row) // _BAND, np.searchsorted(LOAD_PANELS, np.nan_to_num(t))]
+        return self.noise[np.asarray(row) // NOISE_BAND, np.searchsorted(LOAD_PANELS, np.nan_to_num(t))]
 
     def at(self, row, t):
         """p and V on rows at load fractions t, arrays of one shape; NaN outside the scan."""
-        first = np.clip(np.searchsorted(self.fraction, t) - _NODES // 2, 0, len(self.fraction) - _NODES)
-        near = first[..., None] + np.arange(_NODES)
+        first = np.clip(np.searchsorted(self.fraction, t) - SCAN_NODES // 2, 0, len(self.fraction) - SCAN_NODES)
+        near = first[..., None] + np.arange(SCAN_NODES)
         with np.errstate(all="ignore"):
             gap = t[..., None] - self.fraction[near]
             gap = np.where(np.abs(gap) < 1e-14, 1e-14, gap)
@@ -103,7 +108,7 @@ class _Field:
 @functools.lru_cache(maxsize=16)
 def _field(scan: ById) -> _Field:
     whole: Scan = scan.value
-    rows = np.unique([*range(0, len(whole.apex_stretch), _EVERY), len(whole.apex_stretch) - 1])
+    rows = np.unique([*range(0, len(whole.apex_stretch), SCAN_STRIDE), len(whole.apex_stretch) - 1])
     t = whole.load_fraction
     with np.errstate(all="ignore"):
         logs = np.log(np.stack([whole.pressure[rows] / (1 - t), whole.volume[rows]]))
@@ -112,27 +117,27 @@ def _field(scan: ById) -> _Field:
 
 
 def _weights(t: np.ndarray) -> np.ndarray:
-    gaps = np.stack([t[i : len(t) - _NODES + 1 + i] for i in range(_NODES)], axis=1)
-    apart = gaps[:, :, None] - gaps[:, None] + np.eye(_NODES)
+    gaps = np.stack([t[i : len(t) - SCAN_NODES + 1 + i] for i in range(SCAN_NODES)], axis=1)
+    apart = gaps[:, :, None] - gaps[:, None] + np.eye(SCAN_NODES)
     return 1 / apart.prod(axis=2)
 
 
 def _measured_noise(field: _Field, membrane: Membrane) -> np.ndarray:
-    """The error of the scan at random states against the explicit map, (bands, panels), at least `_NOISE`."""
+    """The error of the scan at random states against the explicit map, (bands, panels), at least `SCAN_NOISE`."""
     random = np.random.default_rng(0)
     edges = np.array([field.fraction[0], *LOAD_PANELS, SCANNED_LOAD])
-    bands, panels = -(-len(field.apex) // _BAND), len(LOAD_PANELS) + 1
-    shape = bands, panels, _SAMPLES
-    row = np.arange(bands)[:, None, None] * _BAND + random.integers(0, _BAND, shape)
+    bands, panels = -(-len(field.apex) // NOISE_BAND), len(LOAD_PANELS) + 1
+    shape = bands, panels, NOISE_SAMPLES
+    row = np.arange(bands)[:, None, None] * NOISE_BAND + random.integers(0, NOISE_BAND, shape)
     row = np.minimum(row, len(field.apex) - 2).ravel()  # the last is the edge of the window
     low, high = edges[:-1], edges[1:]
     t = (low[:, None] + (high - low)[:, None] * random.uniform(0, 1, shape)).ravel()
     p, v = field.at(row, t)
-    exact = map_nodes(membrane.material, field.apex[row], t, float(membrane.prestretch), _EXACT_STEPS)
+    exact = map_nodes(membrane.material, field.apex[row], t, float(membrane.prestretch), EXACT_MAP_STEPS)
     with np.errstate(all="ignore"):
         error = np.maximum(np.abs(p / exact[0] - 1), np.abs(v / exact[1] - 1)).reshape(shape)
     return np.maximum(
-        _SAFETY * np.nan_to_num(error, nan=0.0).max(axis=2), _NOISE
+        NOISE_SAFETY * np.nan_to_num(error, nan=0.0).max(axis=2), SCAN_NOISE
     )  # a state that is not there has no error
 
 
@@ -311,8 +316,8 @@ def landings(
     found = Landings(np.zeros(count, int), np.full((count, 5), np.nan), np.full((count, 2), np.nan))
     field = _field_of(membrane)
     seeds: list[tuple[int, np.ndarray]] = []  # of the snaps that exact states settle
-    for i in range(0, count, _TOGETHER):
-        part = np.arange(i, min(i + _TOGETHER, count))
+    for i in range(0, count, LANES_TOGETHER):
+        part = np.arange(i, min(i + LANES_TOGETHER, count))
         line = _line(field, pick(scene_batch.condition, which[part]), folds[part, 0], folds[part, LOAD])
         clear, lands, found.guess[part] = _clear(line, field, folds[part, 0])
         found.kind[part[clear & ~lands]] = Landing.none
@@ -325,7 +330,7 @@ def landings(
     if len(there):
         ratio = folds[there, LOAD] / scene_batch.limits(found.guess[there, 0], which[there])[0]
         found.kind[there[ratio < 1]] = Landing.unbroken
-        about = np.abs(ratio - 1) < _ABOUT
+        about = np.abs(ratio - 1) < ABOUT_BREAKDOWN
         found.kind[there[about]] = Landing.unknown
         known = {k for k, _ in seeds}
         seeds += [(int(k), found.guess[k][None]) for k in there[about] if int(k) not in known]
@@ -342,12 +347,12 @@ def _settle_by_states(
         load, lanes = folds[snap, LOAD], which[snap]
         u = np.column_stack([np.concatenate([c for _, c in seeds]), load])
         rows, kinds = np.tile([0.0, 0.0, 1.0], (len(snap), 1)), np.full(len(snap), ClosingEquation.level)
-        corrected = scene_batch.correct(lanes, u, rows, load, kinds, tolerance=_TOLERANCE, reach=_REACH)
+        corrected = scene_batch.correct(lanes, u, rows, load, kinds, tolerance=LANDING_TOLERANCE, reach=LANDING_REACH)
         again = np.flatnonzero(~corrected.ok)  # once more from where Newton was
         if len(again):
             begin = np.where(np.isfinite(corrected.u[again]), corrected.u[again], u[again])
             given = begin, rows[again], load[again], kinds[again]
-            second = scene_batch.correct(lanes[again], *given, tolerance=_TOLERANCE, reach=_REACH)
+            second = scene_batch.correct(lanes[again], *given, tolerance=LANDING_TOLERANCE, reach=LANDING_REACH)
             for store, values in zip(corrected, second, strict=True):
                 store[again] = values
         limits = scene_batch.limits(np.nan_to_num(corrected.u[:, 0], nan=2.0), lanes)
@@ -388,7 +393,7 @@ def folds_ahead(membrane: Membrane, condition: LoadingCondition, apex: np.ndarra
         own = pick(condition, new)
         guess = walk.fraction[new] + walk.slope[new] * (field.apex[row] - walk.apex[new])
         found, settled = _crossing(field, own, row, guess, walk.load[new])
-        lost = ~settled | ~(np.abs(found - walk.fraction[new]) < _LEAP)
+        lost = ~settled | ~(np.abs(found - walk.fraction[new]) < LEAP)
         leaves = ~lost & (found > SCANNED_LOAD)
         # where the branch is next: on the row, or at the edge of the window before it
         apex, here = np.full(len(new), field.apex[row]), found * field.limit[row]
@@ -397,13 +402,13 @@ def folds_ahead(membrane: Membrane, condition: LoadingCondition, apex: np.ndarra
             lost |= leaves & ~np.isfinite(apex)
         stretch = apex - walk.apex[new]
         # between places that lie close together the noise of the scan is the larger
-        clear = stretch > _CLOSE * walk.apex[new]
-        least = np.maximum(_FALL, _PER_NOISE * field.noise_at(np.full(len(new), row), found))
+        clear = stretch > CLOSE_ROWS * walk.apex[new]
+        least = np.maximum(FALL, LOAD_PER_NOISE * field.noise_at(np.full(len(new), row), found))
         with np.errstate(all="ignore"):
             per = np.where(clear | ~leaves, (here - walk.load[new]) / stretch, rise[new])
             falls = ~lost & (here < walk.load[new] * (1 - least))
-            turning = leaves & ~falls & ~(per > _TURNING * rise[new])
-            doubt[new] |= ~lost & ~falls & clear & (per * walk.apex[new] < _SLOW * walk.load[new])
+            turning = leaves & ~falls & ~(per > TURNING * rise[new])
+            doubt[new] |= ~lost & ~falls & clear & (per * walk.apex[new] < SLOW_RISE * walk.load[new])
         sure = ~doubt[new] & ~turning & ~lost
         answer[new[falls & ~doubt[new]]] = FoldAhead.fold
         answer[new[leaves & ~falls & sure]] = FoldAhead.none
@@ -472,11 +477,11 @@ def _crossing(field: _Field, condition: LoadingCondition, row: int, t: np.ndarra
         value = residual(here)
         slope = (residual(here + h) - value) / h
         found = here - value / slope
-        for _ in range(_CHORDS):
+        for _ in range(CHORDS):
             new = np.clip(found, -0.9, SCANNED_LOAD)
             again = residual(new)
             slope = np.where(np.abs(new - here) > 1e-5, (again - value) / (new - here), slope)
             # beyond the edge the chord goes on
             last, here, value, found = again / slope, new, again, new - again / slope
-        settled = np.isfinite(found) & ((np.abs(last) < _SETTLED) | (found > SCANNED_LOAD))
+        settled = np.isfinite(found) & ((np.abs(last) < SETTLED_CROSSING) | (found > SCANNED_LOAD))
     return found, settled

@@ -7,16 +7,9 @@ import numpy as np
 
 from ..model import SCALE, SCANNED_LOAD, Points, largest_load, load_fraction, locking_stretch
 from ..numerics import Code
+from .resolution import ASTRAY, CONE_WEIGHT, LOST_LOAD, MOST_APPROACH, MOST_TURN, THIN_LAYER_LOAD, WIDEST_HOLE
 
 __all__ = ["Curve", "between", "clip_to_window", "exact_curve", "hermite", "scaled", "solve_between"]
-
-_MOST_TURN = 0.3
-_CONE_WEIGHT = 0.7
-_THIN = 0.7  # load fraction from which an inner layer forms near lock-up
-_MOST_APPROACH = 0.15  # change of log(1 − t) between neighbours; folds near the cone are about 1.2 apart
-_ASTRAY = 0.1
-_WIDEST_HOLE = 4  # stations lost in a row
-_LOST = SCANNED_LOAD - 0.01  # a branch that ends below this load, inside its window, is looked for once more
 
 
 @dataclasses.dataclass
@@ -44,7 +37,7 @@ def hermite(x0, x1, t0, t1, length, share):
 def _cone_measure(membrane, line) -> np.ndarray:
     """−log(1 − t): it counts the folds that accumulate towards the cone at the apex."""
     fraction = line[:, 2] * SCALE[2] / largest_load(membrane.material, line[:, 0])
-    return -_CONE_WEIGHT * np.log(np.maximum(1 - fraction, 1e-6))
+    return -CONE_WEIGHT * np.log(np.maximum(1 - fraction, 1e-6))
 
 
 def _resample(membrane, line, tangents, count):
@@ -65,7 +58,7 @@ def _resample(membrane, line, tangents, count):
     )
     fraction = q * SCALE[2] / largest_load(membrane.material, line[:, 0])
     # and where an inner layer makes each of them dear
-    dear = (line[1:, 0] > locking_stretch(membrane)) & (fraction[1:] > _THIN)
+    dear = (line[1:, 0] > locking_stretch(membrane)) & (fraction[1:] > THIN_LAYER_LOAD)
     length = np.linalg.norm(np.diff(seen), axis=0) * np.where(dear, 0.5, 1.0)
     measure = np.concatenate([[0.0], np.cumsum(length)])
     s = np.linspace(0.0, measure[-1], count)
@@ -106,7 +99,7 @@ def _mesh_points(solver, line, tangents, count, tolerance, chart) -> tuple[Point
     points.tangent = points.tangent * np.where((points.tangent * normal).sum(axis=1) < 0, -1.0, 1.0)[:, None]
     # one that went astray has left its place by more than its neighbours are apart
     apart = np.linalg.norm(np.diff(at, axis=0, prepend=2 * at[:1] - at[1:2]), axis=1)
-    near = np.linalg.norm(scaled(points.u.T) - at, axis=1) <= np.maximum(_ASTRAY, apart)
+    near = np.linalg.norm(scaled(points.u.T) - at, axis=1) <= np.maximum(ASTRAY, apart)
     # within the scanned loads rounding at the flat end may exceed the tolerance: such points stay, with a flag
     fair = (points.error <= tolerance) | (
         (load_fraction(solver.membrane, points.u) <= SCANNED_LOAD) & (points.error < 1e-6)
@@ -131,7 +124,7 @@ def exact_curve(solver, line, tangents, codes, count, tolerance, chart, retrace:
     missing = ~good & (sought < SCANNED_LOAD)
     missing[: kept[0]] = missing[kept[-1] :] = False
     runs = np.split(missing, np.flatnonzero(np.diff(missing)) + 1)
-    hole = any(run.all() and len(run) >= _WIDEST_HOLE for run in runs)
+    hole = any(run.all() and len(run) >= WIDEST_HOLE for run in runs)
     flags = []
     if hole:
         flags.append("points_lost")
@@ -148,7 +141,7 @@ def exact_curve(solver, line, tangents, codes, count, tolerance, chart, retrace:
         fraction = load_fraction(solver.membrane, points.take(np.array([-end])).u)[0]
         # beyond the scanned loads a branch is followed only as far as its error estimate allows
         codes[end] = code or (Code.apex_cone if fraction > 0.5 else Code.beyond_tolerance)
-        whole &= code is not None or bool(fraction >= _LOST)
+        whole &= code is not None or bool(fraction >= LOST_LOAD)
     if not whole:
         flags.append("end_lost")
     whole &= not hole
@@ -156,8 +149,8 @@ def exact_curve(solver, line, tangents, codes, count, tolerance, chart, retrace:
         flags.append("error_above_tolerance")
     for _ in range(4):
         turn = (points.tangent[1:] * points.tangent[:-1]).sum(axis=1)
-        approach = np.abs(np.diff(_cone_measure(solver.membrane, scaled(points.u.T)))) / _CONE_WEIGHT
-        wide = np.flatnonzero((turn < np.cos(_MOST_TURN)) | (approach > _MOST_APPROACH))
+        approach = np.abs(np.diff(_cone_measure(solver.membrane, scaled(points.u.T)))) / CONE_WEIGHT
+        wide = np.flatnonzero((turn < np.cos(MOST_TURN)) | (approach > MOST_APPROACH))
         if not len(wide) or len(points) > 4 * count:
             break
         before = len(points)
@@ -186,7 +179,7 @@ def _extend(solver, points, end, count, tolerance, chart, retrace) -> tuple[Poin
     if end == 0:
         found, code = _extend(solver, _reversed(points), 1, count, tolerance, chart, retrace)
         return _reversed(found), code
-    if not load_fraction(solver.membrane, points.take(np.array([-1])).u)[0] < _LOST:
+    if not load_fraction(solver.membrane, points.take(np.array([-1])).u)[0] < LOST_LOAD:
         return points, None
     line, tangents, code = retrace(points.u[:, -1], points.tangent[-1] * SCALE)
     if len(line) < 3:

@@ -8,10 +8,9 @@ import dataclasses
 import numpy as np
 
 from .mesh import hermite
+from .resolution import NEAR_TURN
 
 __all__ = ["Places", "Polylines"]
-
-_NEARLY = 0.05  # of the larger end slope: a slope this small between two of one sign may hide a pair of turns
 
 
 @dataclasses.dataclass
@@ -88,7 +87,7 @@ class Polylines:
             dip = -b / (2 * a)
             low = d0 + dip * (b + a * dip)
             both = np.sign(d0)
-            hidden = ~once & (dip > 0) & (dip < 1) & (low * both < _NEARLY * np.maximum(np.abs(d0), np.abs(d1)))
+            hidden = ~once & (dip > 0) & (dip < 1) & (low * both < NEAR_TURN * np.maximum(np.abs(d0), np.abs(d1)))
             hidden &= np.isfinite(gap)
         found = [np.nonzero(which) for which in (once, hidden)]
         share = np.clip(np.nan_to_num(share, nan=0.5), 0.0, 1.0)

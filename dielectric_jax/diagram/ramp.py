@@ -10,6 +10,7 @@ import math
 import numpy as np
 
 from ..model import SCANNED_LOAD, Event, Outcome, PointKind, Ramp, RampEvent, SpecialPoint, State, largest_load
+from .resolution import MOST_JUMPS, SAME_STRETCH
 from .states import states_of
 
 __all__ = ["ENDS", "build_ramp", "build_way_back", "flat_ramp"]
@@ -21,8 +22,6 @@ ENDS = {
     "no landing": Outcome.no_landing,
     "start_unstable": Outcome.start_unstable,
 }
-_MOST_JUMPS = 50
-_SAME = 1e-3  # of the apex stretch: beside a fold it is the vaguer
 
 
 def _control_of(solved, state: State) -> float:
@@ -90,7 +89,7 @@ def _follow(solved, here, rising: bool, events: list, direction: str):
     last = here
     landing = None
     jump = "snap" if rising else "snap_back"
-    for _ in range(_MOST_JUMPS):
+    for _ in range(MOST_JUMPS):
         kind, stop, side = _walk(solved, last, rising)
         if kind == "window":
             state = _end_of(solved, last, side)
@@ -172,7 +171,8 @@ def build_way_back(solved, start: State) -> Ramp:
     near = [
         p
         for p in solved.states_at(_control_of(solved, start) ** 2)
-        if abs(p.point.volume[0] / start.volume - 1) < 1e-6 and abs(p.point.u[0, 0] / start.apex_stretch - 1) < _SAME
+        if abs(p.point.volume[0] / start.volume - 1) < 1e-6
+        and abs(p.point.u[0, 0] / start.apex_stretch - 1) < SAME_STRETCH
     ]
     if not near:
         raise ValueError(f"`start` must be an equilibrium of this diagram, but is {start!r}.")

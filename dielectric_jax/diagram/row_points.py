@@ -15,30 +15,24 @@ from jaxtyping import Array, Bool, Float, Int
 from ..model import ClosingEquation, largest_load
 from ..surface import ROWS, Conditions, Rows, Surface
 from .ramps import LISTED
+from .resolution import ALIKE_FOLDS, DIPS, MERGING_FOLDS, NEARLY_BROKEN, STENCIL, STILL, STRETCH_WEIGHT
 
 __all__ = [
     "ContourOnRows",
     "Events",
     "Marks",
+    "event_on_surface",
     "first_place",
     "last_place",
-    "meet_on_surface",
 ]
 
-_STENCIL = 14  # rows that a polynomial runs through; the error is what all but the outer two would change
 _FOLDS, _ZEROS, _BREAKS = LISTED.values()
 _KINDS = np.repeat([ClosingEquation.fold, ClosingEquation.level, ClosingEquation.breakdown], [_FOLDS, _ZEROS, _BREAKS])
-_DIPS = 3
-_AMBIGUOUS = 1e-6  # two folds whose loads differ by less than this share are not told apart
-_OF_STRETCH = 0.2  # weight of the relative error of λa − λ0 at a fold beside that of its load
-_NEARLY_BROKEN = 0.9  # of q/q_b on the row after the last, by the two before
-_STILL = 1e-8  # of a slope, in the scale of q: what the surface's error may hide
-_MERGING = 2e-3  # a slope of q between rows below this share of the largest may hide two folds
 
 
 def _stencil_matrices():
     """From values at even rows to monomial coefficients about their middle, and from all but the outer two."""
-    unit = (np.arange(_STENCIL) - (_STENCIL - 1) / 2) / (_STENCIL / 2)
+    unit = (np.arange(STENCIL) - (STENCIL - 1) / 2) / (STENCIL / 2)
     full = np.linalg.inv(np.vander(unit, increasing=True))
     inner = np.zeros_like(full)
     inner[:-2, 1:-1] = np.linalg.inv(np.vander(unit[1:-1], increasing=True))
@@ -85,13 +79,13 @@ class ContourOnRows(eqx.Module):
 
     def _polynomials(self, row):
         """Polynomials of q and V about a row, and without the outer two rows, in x; the scale of q; place(x)."""
-        base = jnp.clip(row - (_STENCIL // 2 - 1), self.first, jnp.maximum(self.last - _STENCIL + 1, self.first))
-        base = jnp.clip(base, 0, ROWS - _STENCIL)
-        load, volume = (jax.lax.dynamic_slice(v, (base,), (_STENCIL,)) for v in (self.load, self.volume))
+        base = jnp.clip(row - (STENCIL // 2 - 1), self.first, jnp.maximum(self.last - STENCIL + 1, self.first))
+        base = jnp.clip(base, 0, ROWS - STENCIL)
+        load, volume = (jax.lax.dynamic_slice(v, (base,), (STENCIL,)) for v in (self.load, self.volume))
         scale = jnp.max(jnp.abs(load)) + 1e-300
         values = jnp.stack([load / scale, volume])
-        middle = base + (_STENCIL - 1) / 2
-        return values @ _FULL.T, values @ _INNER.T, scale, lambda x: middle + _STENCIL / 2 * x
+        middle = base + (STENCIL - 1) / 2
+        return values @ _FULL.T, values @ _INNER.T, scale, lambda x: middle + STENCIL / 2 * x
 
     def correct(self, row, kind, target):
         """The event that begins at a row: ClosingEquation.fold of q, ClosingEquation.level q = target, or ClosingEquation.breakdown q = q_b(λa).
@@ -116,7 +110,7 @@ class ContourOnRows(eqx.Module):
             value, slope = function(q_all, x)
             return jnp.clip(x - value / slope, -1.0, 1.0)
 
-        begin = (row + jnp.where(fold, 0.0, 0.5) - place_of(0.0)) / (_STENCIL / 2)
+        begin = (row + jnp.where(fold, 0.0, 0.5) - place_of(0.0)) / (STENCIL / 2)
         x = jax.lax.fori_loop(0, 6, newton, begin)
         value, slope = function(q_all, x)
         (q, q_slope, _), (v, v_slope, _) = _horner(q_all, x), _horner(v_all, x)
@@ -132,17 +126,17 @@ class ContourOnRows(eqx.Module):
         # a stiff chamber holds V at its fold, but not λa, which the area strain is made of
         apex, apex_slope = jax.jvp(lambda x: self.rows.apex_at(place_of(x)), (x,), (jnp.ones_like(x),))
         stretched = apex - self.rows.surface.membrane.prestretch
-        relative = jnp.maximum(relative, jnp.where(fold, _OF_STRETCH * jnp.abs(apex_slope) * shift / stretched, 0.0))
-        near = jnp.abs(x - begin) <= 1.5 / (_STENCIL / 2)
-        wide = self.last - self.first >= _STENCIL - 1
+        relative = jnp.maximum(relative, jnp.where(fold, STRETCH_WEIGHT * jnp.abs(apex_slope) * shift / stretched, 0.0))
+        near = jnp.abs(x - begin) <= 1.5 / (STENCIL / 2)
+        wide = self.last - self.first >= STENCIL - 1
         return place_of(x), q, v, jnp.where(near & wide, relative, jnp.inf)
 
     def stands_still(self, row):
         """Whether two folds hide about the step from a row to the next, where q changes less than beside it."""
         (q, _), _, _, place_of = self._polynomials(row)
-        slope = q[1:] * jnp.arange(1, _STENCIL)
-        middle = (row + 0.5 - place_of(0.0)) / (_STENCIL / 2)
-        reach = 1.5 / (_STENCIL / 2)
+        slope = q[1:] * jnp.arange(1, STENCIL)
+        middle = (row + 0.5 - place_of(0.0)) / (STENCIL / 2)
+        reach = 1.5 / (STENCIL / 2)
 
         def newton(_, x):
             _, bend, more = _horner(slope, x)
@@ -150,7 +144,7 @@ class ContourOnRows(eqx.Module):
 
         least = _horner(slope, jax.lax.fori_loop(0, 8, newton, middle))[0]
         # against the way from row to row: at the middle the slope may have turned already
-        return ~(least * (self.load[row + 1] - self.load[row]) > 0) | ~(jnp.abs(least) > _STILL)
+        return ~(least * (self.load[row + 1] - self.load[row]) > 0) | ~(jnp.abs(least) > STILL)
 
 
 class Events(eqx.Module):
@@ -214,7 +208,7 @@ class Marks(eqx.Module):
         # where it does breakdown lies between the two rows if the surface holds it there: the polynomial goes on to it
         ahead = ratio[:-1] + jnp.pad(ratio[1:-1] - ratio[:-2], (1, 0))
         held = contour.rows.top * contour.rows.largest_load > contour.rows.breakdown_load
-        leaving = above & (at[:-1] == contour.last) & held[1:] & held[:-1] & (ratio[:-1] < 1) & (ahead > _NEARLY_BROKEN)
+        leaving = above & (at[:-1] == contour.last) & held[1:] & held[:-1] & (ratio[:-1] < 1) & (ahead > NEARLY_BROKEN)
         masks = (
             turns[:-1],
             pairs & ((q[:-1] < 0) != (q[1:] < 0)),
@@ -250,12 +244,12 @@ class Marks(eqx.Module):
         passed = (
             (folds.place[None] > low[:, None]) & (folds.place[None] < high[:, None]) & (peak[:, None] == peak[None])
         )
-        alike = jnp.abs(folds.load[None] - folds.load[:, None]) <= _AMBIGUOUS * jnp.abs(folds.load[:, None])
+        alike = jnp.abs(folds.load[None] - folds.load[:, None]) <= ALIKE_FOLDS * jnp.abs(folds.load[:, None])
         size = jnp.where(pairs, jnp.abs(q[1:] - q[:-1]), 0.0)
         one_way = (rising[:-2] == rising[1:-1]) & (rising[1:-1] == rising[2:]) & between[:-1] & between[1:]
-        least = (size[1:-1] <= size[:-2]) & (size[1:-1] <= size[2:]) & (size[1:-1] < _MERGING * jnp.max(size))
-        dips, total = _places(one_way & least, _DIPS)
-        still = jax.vmap(contour.stands_still)(dips + 1) & (jnp.arange(_DIPS) < total)
+        least = (size[1:-1] <= size[:-2]) & (size[1:-1] <= size[2:]) & (size[1:-1] < MERGING_FOLDS * jnp.max(size))
+        dips, total = _places(one_way & least, DIPS)
+        still = jax.vmap(contour.stands_still)(dips + 1) & (jnp.arange(DIPS) < total)
         return cls(
             folds=folds,
             zeros=marks[1],
@@ -264,12 +258,12 @@ class Marks(eqx.Module):
             jumps=jumps,
             rivalled=jnp.any(passed & alike & folds.seen()[None], axis=1),
             unlisted=jnp.min(jnp.stack(unlisted)),
-            hidden=jnp.any(still) | (total > _DIPS),
+            hidden=jnp.any(still) | (total > DIPS),
         )
 
 
-def meet_on_surface(surface: Surface, condition: Conditions, kind, target, apex, load):
-    """An event met by Newton on the surface itself from a start close by: (λa, p, q, V), and the size of the last move.
+def event_on_surface(surface: Surface, condition: Conditions, kind, target, apex, load):
+    """An event found by Newton on the surface itself from a start close by: (λa, p, q, V), and the size of the last move.
 
     ClosingEquation.fold of q along the loading's contour, ClosingEquation.level q = target, or ClosingEquation.breakdown q = q_b(λa).
     """

@@ -13,14 +13,12 @@ from ..model import ClosingEquation, Outcome
 from ..numerics import cached_jit
 from ..surface import ROWS, Conditions, Rows, Surface
 from .ramps import APEX, LOAD, SLOTS, Slot
-from .row_points import ContourOnRows, Events, Marks, first_place, last_place, meet_on_surface
+from .resolution import AMBIGUOUS_ON_ROWS, MOST_ROW_ERROR, SOON
+from .row_points import ContourOnRows, Events, Marks, event_on_surface, first_place, last_place
 
 __all__ = ["Crossed", "corrector_program", "ramp_program", "snap_program"]
 
 _SNAPS = 2
-_MOST_ERROR = 1e-4  # between rows, of a ramp that is told
-_AMBIGUOUS = 1e-8  # a snap or landing this near to breakdown is not told
-_SOON = 20  # rows
 _ULP = 2.3e-16
 
 
@@ -82,7 +80,7 @@ def _way_up(rows: Rows, marks: Marks, start: Events, climbs) -> _Way:
         landing = marks.jumps.take(index, snapping)
         limit = breakdown_load(landing)
         for bound in (limit, breakdown_load(snap)):
-            doubt |= snapping & (jnp.abs(snap.load - bound) <= _AMBIGUOUS * bound)
+            doubt |= snapping & (jnp.abs(snap.load - bound) <= AMBIGUOUS_ON_ROWS * bound)
         doubt |= snapping & marks.rivalled[index]
         lost |= snapping & ~landing.seen()
         broken |= snapping & landing.seen() & (snap.load >= limit)
@@ -131,7 +129,7 @@ def _surely_lost(rows: Rows, crossed: Crossed, last, level):
     apart = (over[1:] & over[:-1]) | (under[1:] & under[:-1]) | ~beside | (at[:-1] <= last)
     rise = q[last] - q[jnp.maximum(last - 1, 0)]
     bearable = jnp.max(jnp.where(at >= last, rows.breakdown_load, 0.0))
-    onward = (jnp.maximum(q[last], level) < bearable) & (_SOON * rise > level - q[last])
+    onward = (jnp.maximum(q[last], level) < bearable) & (SOON * rise > level - q[last])
     return jnp.all(apart) & ~onward
 
 
@@ -143,7 +141,7 @@ def _states_at(rows: Rows, condition: Conditions, events: Events, known):
     error = events.error + rows.surface.error_bound(apex, events.load) + rows.error[row] + _ULP * ROWS
     error = jnp.where(jnp.isnan(error), jnp.inf, error)
     values = jnp.stack([apex, condition.pressure(events.volume), events.load, events.volume])
-    values = jnp.where(there & (error < _MOST_ERROR), values, jnp.nan)
+    values = jnp.where(there & (error < MOST_ROW_ERROR), values, jnp.nan)
     return jnp.concatenate([values, jnp.where(there, error, jnp.nan)[None]])
 
 
@@ -169,7 +167,7 @@ def _ramp(rows: Rows, condition: Conditions, start: Events, crossed: Crossed):
     events = jax.tree.map(lambda *v: jnp.stack(v), *listed)
     decided = ~climbs | lost | up.broken | survives
     largest = jnp.max(jnp.where(events.seen(), events.error, 0.0))
-    fair = start.seen() & decided & ~marks.hidden & ~doubt & (largest < _MOST_ERROR)
+    fair = start.seen() & decided & ~marks.hidden & ~doubt & (largest < MOST_ROW_ERROR)
     outcome = jnp.where(up.broken, int(Outcome.breakdown_in_snap), int(Outcome.breakdown_on_branch))
     outcome = jnp.where(lost, int(Outcome.no_landing), outcome)
     outcome = jnp.where(climbs, outcome, int(Outcome.start_unstable))
@@ -205,15 +203,15 @@ def _snap(rows: Rows, condition: Conditions, start: Events, q, v, found, again):
     way = (at[:-1] > begin) & (at[:-1] < row)
     # a slow rise amid faster ones may hide two folds
     slow = way[1:-1] & (rise[1:-1] < rise[:-2]) & (rise[1:-1] < rise[2:]) & (at[1:-2] < row - 1)
-    fair = start.seen() & turns & (q[begin + 1] > 0) & ~jnp.any(slow) & (error < _MOST_ERROR)
-    met, size = meet_on_surface(rows.surface, condition, ClosingEquation.fold, 0.0, rows.apex_at(place), load)
-    bound = rows.surface.error_bound(met[APEX], met[LOAD]) + jnp.where(size < 1e-6, size**2, jnp.inf)
-    fair &= bound < _MOST_ERROR
+    fair = start.seen() & turns & (q[begin + 1] > 0) & ~jnp.any(slow) & (error < MOST_ROW_ERROR)
+    fold, size = event_on_surface(rows.surface, condition, ClosingEquation.fold, 0.0, rows.apex_at(place), load)
+    bound = rows.surface.error_bound(fold[APEX], fold[LOAD]) + jnp.where(size < 1e-6, size**2, jnp.inf)
+    fair &= bound < MOST_ROW_ERROR
     apex = rows.apex_at(start.place)
     zero = rows.surface.error_bound(apex, 0.0) + start.error
     pressure = condition.pressure(start.volume)
     return jnp.where(
-        fair, jnp.stack([jnp.stack([apex, pressure, 0.0 * apex, start.volume, zero]), jnp.append(met, bound)]), jnp.nan
+        fair, jnp.stack([jnp.stack([apex, pressure, 0.0 * apex, start.volume, zero]), jnp.append(fold, bound)]), jnp.nan
     )
 
 
@@ -238,7 +236,7 @@ def corrector_program(surface: Surface, conditions: Conditions, events):
     def one(condition, events):
         def correct_all(_, events):
             targets = jnp.zeros(len(_KINDS)).at[_JUMPS].set(events[LOAD, _FROM])
-            correct = jax.vmap(lambda *v: meet_on_surface(surface, condition, *v))
+            correct = jax.vmap(lambda *v: event_on_surface(surface, condition, *v))
             found, size = correct(jnp.asarray(_KINDS), targets, events[APEX], events[LOAD])
             bound = surface.error_bound(found[:, APEX], found[:, LOAD]) + jnp.where(size < 1e-6, size**2, jnp.inf)
             return jnp.concatenate([found, jnp.where(jnp.isnan(events[APEX]), jnp.nan, bound)[:, None]], axis=1).T

@@ -8,15 +8,11 @@ import numpy as np
 
 from ..model import CONTRACTION, SCALE, ClosingEquation, LoadingCondition, Membrane, difficulty
 from .batch_programs import Goals, correct_program, limits_program
+from .resolution import MOST_SPREAD, NEWTON_ROUNDS, SPLIT, STRETCHES_TOGETHER, TURNS, WORSE
 
 __all__ = ["LANES", "Corrected", "SceneBatch"]
 
 LANES, FEW = 256, 32  # of one call: what fits the cache; where no more are left
-_SPLIT = 96  # so many lanes cost less in several small calls than in a large one
-_MOST_SPREAD = 1e-4
-_WORSE = 100  # times the tolerance: an error that no grid brings down, as beside a fold, is told as it is
-_TURNS = 6
-_MANY = 1024  # stretches of one call
 
 
 def pick(tree, which):
@@ -28,7 +24,7 @@ def calls(which: np.ndarray):
     """The lanes of one call after the other: each is padded to one of two sizes, each compiled once."""
     i = 0
     while i < len(which):
-        size = LANES if len(which) - i > _SPLIT else FEW
+        size = LANES if len(which) - i > SPLIT else FEW
         yield which[i : i + size]
         i += size
 
@@ -39,7 +35,7 @@ def padded(which: np.ndarray) -> np.ndarray:
 
 
 class Corrected(typing.NamedTuple):
-    """Exact points of many lanes, arrays (lanes, …); `ok` says whether Newton met them and the estimate its tolerance.
+    """Exact points of many lanes, arrays (lanes, …); `ok` says whether Newton converged and the estimate is within the tolerance.
 
     `error` is that of p, V, q at fixed λa; `spread` the relative error of V that comes of not knowing where on its branch an
     event lies; of a fold its square is in the error of q.
@@ -74,7 +70,6 @@ _GRIDS = [
     (2, 80.0, 200.0),
     (2, 160.0, 320.0),
 ]
-_ROUNDS = 2, 3  # of Newton; at folds
 _LEVELS = 3
 _FIRST = [next((i for i, g in enumerate(_GRIDS) if g[0] == k), len(_GRIDS)) for k in range(_LEVELS + 1)]
 
@@ -97,9 +92,9 @@ class SceneBatch:
         if self.alone and count == 1:
             return np.stack(limits_program(pick(self.membrane, which), apex))
         out = np.empty((3, count))
-        for i in range(0, count, _MANY):
-            part = slice(i, i + _MANY)
-            fill = (0, _MANY - len(apex[part]))
+        for i in range(0, count, STRETCHES_TOGETHER):
+            part = slice(i, i + STRETCHES_TOGETHER)
+            fill = (0, STRETCHES_TOGETHER - len(apex[part]))
             own = np.pad(which[part], fill, mode="edge")
             found = limits_program(pick(self.membrane, own), np.pad(apex[part], fill, mode="edge"))
             out[:, part] = [np.asarray(v)[: len(apex[part])] for v in found]
@@ -113,7 +108,7 @@ class SceneBatch:
             nothing = np.tile([[0.0], [0.0], [1.0]], (1, len(now))), np.ones(len(now))
             goals = Goals(rows[now].T, targets[now], kinds[now])
             scenes = pick(self.membrane, own), pick(self.condition, own)
-            return correct_program(*scenes, (u[now].T, *nothing), goals, _ROUNDS[0], grid)
+            return correct_program(*scenes, (u[now].T, *nothing), goals, NEWTON_ROUNDS[0], grid)
 
         return self._correct(run, which, u, tolerance, reach)
 
@@ -125,7 +120,7 @@ class SceneBatch:
             own, lanes = which[now], len(now)
             goals = Goals(np.zeros((3, lanes)), np.zeros(lanes), np.full(lanes, ClosingEquation.fold))
             scenes = pick(self.membrane, own), pick(self.condition, own)
-            return correct_program(*scenes, (u[now].T, tangents[now].T, slopes[now]), goals, _ROUNDS[1], grid)
+            return correct_program(*scenes, (u[now].T, tangents[now].T, slopes[now]), goals, NEWTON_ROUNDS[1], grid)
 
         return self._correct(run, which, u, tolerance, reach, slopes)
 
@@ -155,15 +150,15 @@ class SceneBatch:
                 lost = ~np.isfinite(u[now]).all(axis=1)
                 lost |= ~(np.linalg.norm((u[now] - start[now]) / SCALE, axis=1) <= reach[now])
             settled = ~lost & corrected.ok[now]
-            good = settled & (corrected.error[now] <= tolerance) & (corrected.spread[now] <= _MOST_SPREAD)
+            good = settled & (corrected.error[now] <= tolerance) & (corrected.spread[now] <= MOST_SPREAD)
             turns[now] += 1
-            again = ~lost & ~settled & (turns[now] < _TURNS) & (move < last[now] / 2)  # Newton is under way
+            again = ~lost & ~settled & (turns[now] < TURNS) & (move < last[now] / 2)  # Newton is under way
             last[now] = np.where(again, move, np.inf)
             u[now[lost]] = start[now[lost]]
             # who is lost is so for want of resolution, if at all: once more, on the next level
             ends = s + 1 in _FIRST
             later = np.where(lost, np.where(strayed[now], len(_GRIDS), _FIRST[level + 1]), s + 1)
-            good |= settled & ends & (corrected.error[now] <= _WORSE * tolerance)
+            good |= settled & ends & (corrected.error[now] <= WORSE * tolerance)
             strayed[now] |= lost
             stage[now] = np.where(good, len(_GRIDS), np.where(again, s, later))
             turns[now[~again]] = 0

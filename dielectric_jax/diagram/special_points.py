@@ -14,6 +14,7 @@ from scipy.optimize import root_scalar
 
 from ..model import SCALE, PointKind, Points
 from .mesh import Curve, between, hermite, scaled, solve_between
+from .resolution import ROOT_CLOSE, ROOT_EXACT, ROOT_ROUNDS, ROOT_SMALL
 from .surface_contours import OnSurface
 
 __all__ = [
@@ -67,12 +68,6 @@ def brackets(curve: Curve, kind: PointKind, target: float = 0.0) -> np.ndarray:
         return np.flatnonzero(((f[:-1] < 0) != (f[1:] < 0)) & np.isfinite(f[:-1]) & np.isfinite(f[1:]))
 
 
-_ROUNDS = 16
-# changes of the share of an interval at which the line through the last two trials takes a root the rest of the way, and
-# at which nothing is left to do; and between them that at which the slopes of the neighbours do as well as a last trial
-_CLOSE, _EXACT, _SMALL = 1e-6, 1e-10, 2e-7
-
-
 @dataclasses.dataclass
 class Located:
     """One root on a branch: its kind, the arclength of the branch there, the state (one lane), its error estimate."""
@@ -110,9 +105,9 @@ def fold_events(kind: PointKind, solver, curve: Curve, tolerance: float) -> Curv
 
 
 def locate(solver, curves: list[Curve], wanted: list[tuple], tolerance: float, *, certify: bool = True):
-    """Roots for `wanted` = (kind, branch, interval, target), and those of `wanted` that were not met to tolerance.
+    """Roots for `wanted` = (kind, branch, interval, target), and those of `wanted` that were not located to tolerance.
 
-    On a surface, roots are met there first; with `certify` shooting then starts from them, and what it corrects is part
+    On a surface, roots are located there first; with `certify` shooting then starts from them, and what it corrects is part
     of their error.
     """
     if not isinstance(solver, OnSurface):
@@ -142,7 +137,7 @@ def _with_index(curve: Curve, interval: int, root: Located, control: int) -> Poi
 
 
 def _locate(solver, curves, wanted, tolerance, near: dict):
-    """Roots by their place in `wanted`, and those not met; `near` holds roots to start from.
+    """Roots by their place in `wanted`, and those not located; `near` holds roots to start from.
 
     A given load is a row of Newton's system and takes one solve; the other events, and a load that this fails for, take
     the secant method.
@@ -328,17 +323,17 @@ class _Brackets:
         self.high[active[above]], self.f_high[active[above]] = at[above], f[above]
         with np.errstate(all="ignore"):
             secant = (f - self.f_last[active]) / (at - self.last[active])
-            apart = np.isfinite(secant) & (secant != 0) & (np.abs(at - self.last[active]) > _CLOSE)
+            apart = np.isfinite(secant) & (secant != 0) & (np.abs(at - self.last[active]) > ROOT_CLOSE)
             self.slope[active] = np.where(apart, secant, self.slope[active])
             new = at - f / self.slope[active]
         # a step that leaves the bracket is a bisection
         low, high = self.low[active], self.high[active]
-        fair = np.isfinite(new) & (new >= low - _CLOSE) & (new <= high + _CLOSE)
+        fair = np.isfinite(new) & (new >= low - ROOT_CLOSE) & (new <= high + ROOT_CLOSE)
         new = np.where(fair, new, (low + high) / 2)
         self.change[active] = np.abs(new - at)
         for k, n in enumerate(active):
             self.trials[n] = [*self.trials[n][-1:], found.take(np.array([k]))]
-        first_try, later = (np.where(self.smooth[active], limit, _EXACT) for limit in (_SMALL, _CLOSE))
+        first_try, later = (np.where(self.smooth[active], limit, ROOT_EXACT) for limit in (ROOT_SMALL, ROOT_CLOSE))
         done = self.change[active] < np.where(np.isfinite(self.last[active]), later, first_try)
         for k in np.flatnonzero(done):
             self._finish(active[k], at[k], new[k])
@@ -348,7 +343,7 @@ class _Brackets:
 
     def _finish(self, n: int, at: float, new: float) -> None:
         """Moves a root's last trial the rest of the way, from the share `at` to `new`."""
-        if not self.change[n] > _EXACT:
+        if not self.change[n] > ROOT_EXACT:
             return
         if len(self.trials[n]) > 1:
             before, latest = self.trials[n]
@@ -382,7 +377,7 @@ def _locate_roots(solver, curves, wanted, tolerance, near: dict):
     if not wanted:
         return {}, []
     search, active = _Brackets(curves, wanted, near), np.arange(len(wanted))
-    for _ in range(_ROUNDS):
+    for _ in range(ROOT_ROUNDS):
         active = search.step(solver, active, tolerance)
         if not len(active):
             break
@@ -424,9 +419,9 @@ def special_points(
 def loads_beside_folds(
     solver, curves, located, kind: PointKind, target: float, tolerance: float, *, certify: bool = True
 ):
-    """States at a load that two neighbours do not bracket, but a located fold between them does; and those not met.
+    """States at a load that two neighbours do not bracket, but a located fold between them does; and those not located.
 
-    A fold nearer to zero voltage than its own error does not say whether there are such states: it counts as not met.
+    A fold nearer to zero voltage than its own error does not say whether there are such states: it counts as not located.
     """
     lines, wanted, missed = list(curves), [], []
     for fold in located:

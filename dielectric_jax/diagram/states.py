@@ -34,14 +34,9 @@ from ..model import (
 )
 from ..numerics import Code, SceneError, check_positive, shown
 from ..surface import Surface, pressure_and_volume
+from .resolution import FLATTEST, MOST_STATE_ERROR, NEAR_EXTREME, NEAREST_CONE, WRINKLED
 
 __all__ = ["equilibrium", "filling", "flat_state", "states_of"]
-
-_MOST_ERROR = 1e-3  # the loosest tolerance: what is farther off is no state
-_FLATTEST = 4e-11  # of λa − λ0, and of λ0 − 1
-_WRINKLED = 1e-9  # hoop compression that is one: where it begins its sign is not told
-_CONE = 3e-4  # 1 − t up to which states are sought; folds towards the cone are a factor of 3.6 apart
-_NEAR_EXTREME = 1e-6  # of log p or log V: nearer to an extreme of a line the two states beside it have their own solve
 
 
 def check_request(points: int, tolerance: float) -> None:
@@ -84,7 +79,7 @@ def states_of(points: Points, tolerance: float) -> list[State]:
             error_estimate=float(points.error[i]),
             flags=("error_above_tolerance",) * (not points.error[i] <= tolerance)
             + ("index_not_valid",) * bool(points.index[i] < 0)
-            + ("hoop_tension_lost",) * bool(points.hoop[i] < -_WRINKLED),
+            + ("hoop_tension_lost",) * bool(points.hoop[i] < -WRINKLED),
         )
         for i in range(len(points))
     ]
@@ -266,8 +261,8 @@ def _distinct_states(membrane: Membrane, results: list[Points], tolerance: float
         for state in states_of(result.take(np.flatnonzero(result.ok)), tolerance):
             # an unstretched film's tension comes from λa − λ0 alone, which rounding leaves no digits of
             prestretch = float(membrane.prestretch)
-            unstretched = prestretch - 1 < _FLATTEST and state.apex_stretch - prestretch < _FLATTEST
-            if unstretched or not state.error_estimate <= _MOST_ERROR:
+            unstretched = prestretch - 1 < FLATTEST and state.apex_stretch - prestretch < FLATTEST
+            if unstretched or not state.error_estimate <= MOST_STATE_ERROR:
                 vague = True
             elif not any(_same(state, other) for other in states):
                 states.append(state)
@@ -310,7 +305,7 @@ def _beside_extreme(membrane, condition, extreme, name: str, wanted: float, tole
 
 
 def _same(one: State, other: State) -> bool:
-    """Whether two starts have met one state: beside a fold λa is the vaguer, but there the indices of two differ."""
+    """Whether two starts have led to one state: beside a fold λa is less exact, but there the indices of two differ."""
     near = abs(one.apex_stretch / other.apex_stretch - 1)
     return near < 1e-9 or (near < 1e-6 and one.index == other.index)
 
@@ -376,7 +371,7 @@ def _line_at_load(membrane, q: float, limits, wanted_apex: float | None, surface
         apex = np.sort(np.append(apex, wanted_apex))
     apex = _towards_cones(membrane, q, apex)
     fraction = q / largest_load(membrane.material, apex)
-    inside = (fraction <= min(loads[1], 1 - _CONE)) & (fraction >= loads[0])
+    inside = (fraction <= min(loads[1], 1 - NEAREST_CONE)) & (fraction >= loads[0])
     if not inside.any():
         nothing = np.zeros(0)
         return _Line(q, nothing, nothing, nothing, np.zeros(0, int))
@@ -406,7 +401,7 @@ def _beside_extremes(line: _Line, value: np.ndarray) -> tuple[list[np.ndarray], 
         if not -1 <= top <= 1:
             continue
         depth, curvature = quintic(top), bend(top)
-        if abs(depth) < _NEAR_EXTREME:
+        if abs(depth) < NEAR_EXTREME:
             extremes.append((apex[i] + reach * top, reach, float(line.pressure[i]), line.load))
         elif value[i - 1] * value[i] > 0 and value[i] * value[i + 1] > 0 and depth * curvature < 1e-9 * curvature**2:
             half = min(math.sqrt(max(-2 * depth / curvature, 1e-9)), 1.0)

@@ -1,4 +1,4 @@
-"""Contours on the surface: states of a loading met by Newton on the surface's polynomials, nothing integrated or stepped.
+"""Contours on the surface: states of a loading found by Newton on the surface's polynomials, nothing integrated or stepped.
 
 `OnSurface` stands in for `Shooting`: it meets the same planes across a branch, in microseconds, and hands the lanes that
 lie outside the surface's domain, or that it does not know to the tolerance, to shooting. `surface_lines` finds every
@@ -34,16 +34,11 @@ from ..model import (
 )
 from ..numerics import Code, cached_jit
 from ..surface import ById, Surface, pressure_and_volume
+from .resolution import AT_EDGE, CONTOUR_GRID, CONTOUR_VERTICES, SAME_ON_SURFACE, SURFACE_CONVERGED, SURFACE_NEWTON
 
 __all__ = ["OnSurface", "margins", "surface_branches"]
 
-_NEWTON = 8
-_CONVERGED = 1e-9  # size of the last move, in λa and t
-_GRID = (320, 176)  # stretches and loads on which contours are drawn
-_VERTICES = 200  # of a contour, at most
 _ULP = 2.3e-16
-_AT_EDGE = 1e-3
-_SAME = 0.1  # in scaled unknowns: a traced chord's distance from the branch, and more
 
 
 @cached_jit
@@ -77,7 +72,7 @@ def _meet_program(surface: Surface, condition: LoadingCondition, lanes):
             return x + move, jnp.max(jnp.abs(move))
 
         start = jnp.stack([lane[0], lane[2] / largest_load(material, lane[0])])
-        x, size = jax.lax.fori_loop(0, _NEWTON, step, (start, jnp.asarray(jnp.inf)))
+        x, size = jax.lax.fori_loop(0, SURFACE_NEWTON, step, (start, jnp.asarray(jnp.inf)))
         a, p, q, v = state(x)
         z, c = surface.at_load_fraction(x[0], x[1], ("height", "charge_per_voltage"))
         slopes = jax.jacfwd(state)(x)  # of (λa, p, q, V) by (λa, t)
@@ -134,7 +129,12 @@ class OnSurface:
         error = np.maximum(np.nan_to_num(found[9], nan=np.inf), LEAST_ESTIMATE)
         away = np.linalg.norm((found[:3] - u).T / SCALE, axis=1)
         with np.errstate(invalid="ignore"):
-            ok = np.isfinite(found[:10]).all(axis=0) & (found[11] < _CONVERGED) & (error <= tolerance) & (away < reach)
+            ok = (
+                np.isfinite(found[:10]).all(axis=0)
+                & (found[11] < SURFACE_CONVERGED)
+                & (error <= tolerance)
+                & (away < reach)
+            )
         unknown = np.full(u.shape[1], np.nan)
         index = np.full(u.shape[1], -1)
         return Points(
@@ -209,9 +209,9 @@ def _grid_of(key: ById):
     """λa (rows,), t (loads,), p and V (rows, loads) of a surface, NaN outside its domain."""
     surface = key.value
     rim, high = float(surface.membrane.prestretch), float(surface.apex_edges[-1])
-    apex = rim + (high - rim) * np.linspace(1e-3, 1.0, _GRID[0]) ** 2
+    apex = rim + (high - rim) * np.linspace(1e-3, 1.0, CONTOUR_GRID[0]) ** 2
     apex[-1] = high
-    load = np.linspace(float(surface.load_edges[0]), min(float(surface.load_edges[-1]), SCANNED_LOAD), _GRID[1])
+    load = np.linspace(float(surface.load_edges[0]), min(float(surface.load_edges[-1]), SCANNED_LOAD), CONTOUR_GRID[1])
     p, v = pressure_and_volume(surface, apex[:, None], load[None])
     return apex, load, p, v, largest_load(surface.membrane.material, apex)
 
@@ -232,7 +232,7 @@ def surface_lines(solver: OnSurface) -> list[tuple[np.ndarray, np.ndarray]]:
         assert isinstance(line, np.ndarray)
         closed = np.allclose(line[0], line[-1])
         gap = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-        places = np.linspace(0.0, gap[-1], min(_VERTICES, max(4, len(line))))
+        places = np.linspace(0.0, gap[-1], min(CONTOUR_VERTICES, max(4, len(line))))
         j, i = (np.interp(places, gap, line[:, k]) for k in (0, 1))
         a, t = np.interp(i, rows, apex), np.interp(j, columns, load)
         q = t * largest_load(solver.membrane.material, a)
@@ -271,15 +271,15 @@ def surface_branches(solver: OnSurface, box: np.ndarray, follow: Callable | None
         k, side = end
         u, tangents = pieces[k]
         if follow is None:
-            near = margins(solver.membrane, u[side], box).min() < _AT_EDGE
+            near = margins(solver.membrane, u[side], box).min() < AT_EDGE
             tails[end] = u[:0], tangents[:0], _edge(solver, u[side], box) if near else Code.surface_edge
             continue
         outward = tangents[side] * (1.0 if side else -1.0)
         path, along, code = follow(u[side], outward * SCALE)
         others = [other for other in open_ends if other != end and other not in links]
-        met = [(i, other) for other in others if (i := _meets(path, along, pieces, other)) is not None]
-        if met:
-            i, other = min(met)
+        meetings = [(i, other) for other in others if (i := _meets(path, along, pieces, other)) is not None]
+        if meetings:
+            i, other = min(meetings)
             links[end] = other, path[1 : i + 1], along[1 : i + 1]
             links[other] = end, path[i:0:-1], -along[i:0:-1]
             tails.pop(other, None)
@@ -353,5 +353,5 @@ def _meets(path: np.ndarray, along: np.ndarray, pieces: list, end: tuple) -> int
     chord = np.diff(x, axis=0)
     share = ((target - x[:-1]) * chord).sum(axis=1) / np.maximum((chord**2).sum(axis=1), 1e-300)
     away = np.linalg.norm(target - x[:-1] - np.clip(share, 0, 1)[:, None] * chord, axis=1)
-    hit = np.flatnonzero((away < _SAME) & (along[:-1] @ inward > 0.8) & (share > 0) & (share <= 1))
+    hit = np.flatnonzero((away < SAME_ON_SURFACE) & (along[:-1] @ inward > 0.8) & (share > 0) & (share <= 1))
     return int(hit[0]) if len(hit) else None

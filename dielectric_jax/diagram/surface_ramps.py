@@ -27,6 +27,14 @@ from ..numerics import cached_jit, check_positive
 from ..surface import ROWS, ById, Conditions, Rows, Surface, crossings, rows_of
 from .landings import Landing, folds_ahead, landings
 from .ramps import APEX, ERROR, LOAD, PRESSURE, RampArrays, Ramps, Slot, ramps_of
+from .resolution import (
+    CORRECTED_FROM,
+    CORRECTED_TOGETHER,
+    FEW_LOADINGS,
+    FLAT_MAXIMUM,
+    LARGEST_RAMP_ERROR,
+    LOADINGS_TOGETHER,
+)
 from .row_points import ContourOnRows, Events, first_place
 from .row_ramp import Crossed, corrector_program, ramp_program, snap_program
 from .scene_batch import SceneBatch
@@ -40,13 +48,6 @@ __all__ = [
     "pressure_curves",
     "pressure_ramps",
 ]
-
-_CHUNK = 256
-_FEW = 8  # loadings that are answered together where a single one is asked for at once
-_POLISHED = 1e-9  # from this error on the events of a ramp are met on the surface itself
-_LARGEST_ERROR = 1e-8  # of a ramp that is told, in the end
-_FLAT = 1e-8  # of a pressure: nearer to its maximum no start is told
-_SOME = 8  # ramps that are polished together
 
 
 class Curves(typing.NamedTuple):
@@ -69,7 +70,7 @@ def _start(rows: Rows, values, others, target, order: int):
     before, here, after = values[:-2], values[1:-1], values[2:]
     bend = before - 2 * here + after
     over = jnp.where(bend < 0, (after - before) ** 2 / (-8 * bend), 0.0)
-    near = (here >= before) & (here >= after) & (here + 1.5 * over + _FLAT * jnp.abs(here) >= target)
+    near = (here >= before) & (here >= after) & (here + 1.5 * over + FLAT_MAXIMUM * jnp.abs(here) >= target)
     present = any_ & (reached > 0) & ~jnp.any(near & (jnp.arange(1, ROWS - 1) < reached))
     whole = ContourOnRows(rows, values, others, jnp.asarray(0), jnp.asarray(ROWS - 1))
     place, _, other, _ = whole.correct(jnp.maximum(reached - 1, 0), ClosingEquation.level, target)
@@ -135,13 +136,13 @@ def _ramps_of_crossings(rows: Rows, start, conditions, crossed, kind: str):
     def worst():
         return np.max(np.nan_to_num(events[:, ERROR], nan=0.0), axis=1)
 
-    rough = np.flatnonzero(worst() > _POLISHED)
-    for i in range(0, len(rough), _SOME):
-        some = rough[i : i + _SOME]
-        which = np.pad(some, (0, _SOME - len(some)), mode="edge")
+    rough = np.flatnonzero(worst() > CORRECTED_FROM)
+    for i in range(0, len(rough), CORRECTED_TOGETHER):
+        some = rough[i : i + CORRECTED_TOGETHER]
+        which = np.pad(some, (0, CORRECTED_TOGETHER - len(some)), mode="edge")
         own = jax.tree.map(lambda v, which=which: np.asarray(v)[which], conditions)
         events[some] = np.asarray(corrector_program(rows.surface, own, events[which]))[: len(some)]
-    vague = worst() > _LARGEST_ERROR
+    vague = worst() > LARGEST_RAMP_ERROR
     events[vague], snaps[vague], outcome[vague] = np.nan, 0, int(Outcome.unresolved)
     return events, *special, snaps, outcome, reach
 
@@ -187,7 +188,7 @@ def curves_and_ramps(surface: Surface, given: dict) -> tuple[Curves, Ramps]:
     `given` names the columns as the arguments of `chamber_ramps`, or the pressure.
     """
     loadings, kind = _loadings(surface, given)
-    q, p, v, again, *arrays = _run(_glance_chunk, surface, loadings, kind, 0, _FEW)
+    q, p, v, again, *arrays = _run(_glance_chunk, surface, loadings, kind, 0, FEW_LOADINGS)
     curves = Curves(np.asarray(rows_of(ById(surface)).apex_stretch), q, p, v, again)
     return curves, _answer(surface, loadings, kind, arrays, exact=True)
 
@@ -266,7 +267,7 @@ def _scene_batch(surface: Surface, condition: LoadingCondition) -> SceneBatch:
     return SceneBatch(membrane, condition, np.full(count, locking_stretch(surface.membrane)))
 
 
-def _run(chunk, surface: Surface, loadings: list[np.ndarray], kind: str, axis: int, some: int = _CHUNK):
+def _run(chunk, surface: Surface, loadings: list[np.ndarray], kind: str, axis: int, some: int = LOADINGS_TOGETHER):
     """`chunk` on many loadings, some at a time on all cores: a list of arrays with the shape of the loadings first.
 
     `axis` is where the results of `chunk` count the loadings, 0 or 1 of two.

@@ -7,6 +7,7 @@ import numpy as np
 
 from ..model import SCALE, ConstantVoltage, Membrane, compile_ahead, largest_load, rim_with_sensitivities, threads
 from ..numerics import Code, Problem, Steps, Trace, cached_jit, trace
+from .resolution import FLAT_END, LARGEST_LOAD_NEAR_LOCK_UP, LARGEST_RESTART, MOST_PARTS, TRACE_LOAD_LIMITS, TRACE_STEPS
 
 __all__ = ["TraceGrid", "run_trace", "run_traces", "warm_up"]
 
@@ -14,15 +15,6 @@ __all__ = ["TraceGrid", "run_trace", "run_traces", "warm_up"]
 _STEPS = Steps(
     first=0.05, largest=1.0, smallest=2e-5, most_turn=0.35, most_correction=0.2, tolerance=1e-4, most_residual=0.1
 )
-# grids of the continuation, and the load fractions up to which each is used, near lock-up (an inner layer forms) and
-# elsewhere (towards the cone); the last is the last resort
-_TRACE_STEPS = (10.0, 24.0, 48.0, 160.0)
-_LOAD_LIMITS = ((0.7, 0.85), (0.82, 0.97), (2.0, 2.0), (2.0, 2.0))
-_LARGEST_LOAD_NEAR_LOCK_UP = 0.94
-_FLAT = 0.01  # of λa − λ0
-_RESTART = 0.1  # how far a finer grid may move a point of a coarser one
-_MOST_PARTS = 12  # of a trace, each as long as a compiled trace can be
-
 
 _CODES = (
     Code.window_stretch,
@@ -70,7 +62,7 @@ def branch_problem(material, prestretch, condition, limits, grid: TraceGrid, ste
         locking, elsewhere = grid.load_limits
         resolved = jnp.where(u[0] > limits[4], locking, elsewhere) - fraction
         # towards lock-up no grid resolves the membrane much beyond the scanned loads
-        top = jnp.where(u[0] < limits[4], limits[3], jnp.minimum(limits[3], _LARGEST_LOAD_NEAR_LOCK_UP))
+        top = jnp.where(u[0] < limits[4], limits[3], jnp.minimum(limits[3], LARGEST_LOAD_NEAR_LOCK_UP))
         box = [u[0] - limits[0], limits[1] - u[0], fraction - limits[2], limits[3] - fraction, top - fraction]
         return jnp.stack([*box, resolved])
 
@@ -108,10 +100,10 @@ def run_trace(membrane, condition, limits, seed, direction, *, level=0, largest=
 
     `largest` bounds the step; a shorter one tells branches apart that nearly meet.
     """
-    level %= len(_TRACE_STEPS)
+    level %= len(TRACE_STEPS)
     start = np.asarray(seed), np.asarray(direction)
     points, tangents, code = _run_trace(
-        membrane, condition, limits, start, level, (largest, _STEPS.largest), _MOST_PARTS
+        membrane, condition, limits, start, level, (largest, _STEPS.largest), MOST_PARTS
     )
     return points, tangents / SCALE, code
 
@@ -122,20 +114,20 @@ def _run_trace(membrane, condition, limits, start, level, bounds, parts):
     Where it is as long as a compiled trace can be it goes on with another, of `parts` in all.
     """
     # at the flat end everything shrinks with λa − λ0; elsewhere a shorter step only meets the noise about a cone
-    flat = start[0][0] - float(membrane.prestretch) < _FLAT
+    flat = start[0][0] - float(membrane.prestretch) < FLAT_END
     lengths = np.array([_STEPS.smallest * (1e-2 if flat else 1.0), *bounds])
-    grid = TraceGrid(_TRACE_STEPS[level], np.array(_LOAD_LIMITS[level]), lengths)
+    grid = TraceGrid(TRACE_STEPS[level], np.array(TRACE_LOAD_LIMITS[level]), lengths)
     done = Trace(*_trace_program(membrane, condition, limits, start, True, grid))
     count, code = int(done.count), Code(int(done.code))
     points, tangents = np.asarray(done.points)[:count], np.asarray(done.tangents)[:count]
     long = code is Code.too_many_points and parts > 1
-    lost = code in (Code.beyond_tolerance, Code.step_too_small) and level + 1 < len(_TRACE_STEPS)
+    lost = code in (Code.beyond_tolerance, Code.step_too_small) and level + 1 < len(TRACE_STEPS)
     if not (long or lost):
         return points, tangents, code
     if count <= 1:  # it never began
         return _run_trace(membrane, condition, limits, start, level + 1, bounds, parts)
     # on from the last point inside
-    further = level + lost, (bounds[0], _RESTART), parts - long
+    further = level + lost, (bounds[0], LARGEST_RESTART), parts - long
     finer = _run_trace(membrane, condition, limits, (points[-2], tangents[-2]), *further)
     if len(finer[0]) < 2:
         return points[:-1], tangents[:-1], code if long else Code.step_too_small
@@ -148,7 +140,7 @@ def warm_up(membrane: Membrane) -> None:
     nothing = np.zeros(3)
 
     def trace_nothing():
-        grid = TraceGrid(_TRACE_STEPS[0], np.array(_LOAD_LIMITS[0]), np.ones(3))
+        grid = TraceGrid(TRACE_STEPS[0], np.array(TRACE_LOAD_LIMITS[0]), np.ones(3))
         _trace_program(membrane, condition, np.ones(5), (nothing, nothing), False, grid)
 
     compile_ahead(membrane, (trace_nothing,))

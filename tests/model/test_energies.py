@@ -225,7 +225,7 @@ def test_the_whole_curve_of_a_stiff_material(material, prestretch):
 
 
 def test_a_branch_that_is_not_followed_to_its_end_is_not_complete(monkeypatch):
-    monkeypatch.setattr(tracing, "_MOST_PARTS", 1)
+    monkeypatch.setattr(tracing, "MOST_PARTS", 1)
     curve = dj.pressure_volume(dj.Membrane(DOUBLED, 4.0))
     assert any(Code.too_many_points in (b.start, b.end) for b in curve.branches) and not curve.complete
 
