@@ -6,11 +6,9 @@ four times the package's own nodes, in other variables. The comparison covers th
     python -m benchmarks.acceptance.agreement [--scenes 1000] [--seed 0] [--first 0] [--json FILE|-] [--quick]
 """
 
-import argparse
 import copy
 import math
 import sys
-import time
 import traceback
 
 import contourpy
@@ -20,7 +18,8 @@ from scipy.interpolate import CubicSpline, RectBivariateSpline, make_interp_spli
 from scipy.spatial import cKDTree
 
 import dielectric_jax as dj
-from benchmarks.harness import machine, write
+from benchmarks import explicit, harness
+from benchmarks.random_scenes import film_scenes
 from benchmarks.truth import extended_precision as truth
 
 jax.config.update("jax_enable_x64", True)
@@ -37,18 +36,9 @@ NEAR = 0.03  # distance at which a branch counts as the same
 POSITION = 2e-5  # allowed difference of a special point's q, relative to max(|q|, 1e-3)
 
 
-@jax.jit
-def _map(limit, apex, q, rim, steps):
-    return dj.model.explicit_map(dj.Gent(limit), apex, q, rim, steps)
-
-
-def explicit(limit, apex, q, rim, steps, chunk=640):
-    """The explicit map over arrays of one shape (n,)."""
-    out = []
-    for i in range(0, len(apex), chunk):
-        a, b = (np.pad(v[i : i + chunk], (0, max(0, i + chunk - len(v))), mode="edge") for v in (apex, q))
-        out.append(np.stack(_map(limit, a, b, rim, steps))[:, : len(apex) - i])
-    return np.concatenate(out, axis=1)
+def mapped(limit, apex, q, rim, steps, size=640):
+    """p, V and the slope at the rim of the explicit map at states (n,) of one film."""
+    return explicit.in_chunks(lambda a, b: explicit.of_gent(limit, a, b, rim, steps), (apex, q), size)
 
 
 def _crowded(first=1e-6):
@@ -70,9 +60,9 @@ class Chart:
         x, y = np.linspace(0, 1, NODES[0]), np.linspace(0, 1, NODES[1])
         apex, t = (v.ravel() for v in np.meshgrid(self.apex(x), self.load(y), indexing="ij"))
         q = t * truth.largest_load(apex, limit)
-        p, v, slope = explicit(limit, apex, q, rim, 48.0)
+        p, v, slope = mapped(limit, apex, q, rim, 48.0)
         hard = (t > 0.4) & (apex - rim > 0.4 * (self.end - rim))
-        p[hard], v[hard], slope[hard] = explicit(limit, apex[hard], q[hard], rim, 160.0)
+        p[hard], v[hard], slope[hard] = mapped(limit, apex[hard], q[hard], rim, 160.0)
         good = (slope < 0) & np.isfinite(p) & np.isfinite(v) & (p > 0) & (v > 0)
         self.invalid_nodes = int((~good).sum())
         with np.errstate(all="ignore"):
@@ -99,7 +89,7 @@ class Chart:
         """The same as `state`, by the explicit map itself instead of the splines."""
         apex, t = self.apex(x), self.load(y)
         q = t * truth.largest_load(apex, self.limit)
-        p, v, _ = explicit(self.limit, apex, q, self.rim, 300.0, chunk=160)
+        p, v, _ = mapped(self.limit, apex, q, self.rim, 300.0, size=160)
         return apex, p, v, q, t
 
     def unloaded(self):
@@ -133,21 +123,6 @@ class Chart:
             move = np.where(np.isfinite(move) & (np.abs(move) < 0.01), move, 0.0)
             points = np.clip(points + move, 0, 1 - h)
         return points
-
-
-def draw(count: int, seed: int) -> list[dict]:
-    """Parameters of random scenes; `fill` is the share of the peak's volume, resolved once the membrane is known."""
-    random = np.random.default_rng(seed)
-    scenes = []
-    for _ in range(count):
-        scene = {
-            "prestretch": random.uniform(1, 3),
-            "stretch_limit": math.exp(random.uniform(math.log(50), math.log(1000))),
-        }
-        chamber, fill = math.exp(random.uniform(math.log(10), math.log(25000))), random.uniform(0, 1)
-        pressure, closed = random.uniform(0.4, 2.0), random.uniform() < 0.6
-        scenes.append(scene | ({"chamber_volume": chamber, "fill": fill} if closed else {"pressure": pressure}))
-    return scenes
 
 
 def resolve(scene: dict, chart: Chart):
@@ -364,121 +339,150 @@ def _off(record: dict, chart: Chart, condition) -> float:
     return float(np.nan_to_num(abs(condition(p, v)) / p, nan=np.inf))
 
 
-def compare(scene: dict, chart: Chart, condition, diagram) -> dict:
-    """What differs between a diagram and the contours of the finer scan."""
-    law = diagram.scene.membrane.breakdown
-    lines = [Line(chart, points, condition, law) for points in chart.lines(condition)]
-    lines = [piece for line in lines for piece in line.pieces() if piece.length > 1e-2]
-    branches = [_dense(b) for b in diagram.branches]
-    wrong, noted = [], []
+def drawn_points(diagram, limit: float) -> list[dict]:
+    """The folds, zero-voltage states and breakdowns of a diagram."""
+    points = [p for p in diagram.special_points if p.kind in ("fold", "zero_voltage", "breakdown")]
+    names = ("kind", "branch", "apex_stretch", "pressure", "volume", "voltage_squared", "error_estimate")
+    return [
+        {name: getattr(p, name) for name in names}
+        | {"load_fraction": p.voltage_squared / float(truth.largest_load(p.apex_stretch, limit))}
+        for p in points
+    ]
 
-    def inner(t, apex):
-        share = (apex - chart.rim) / (chart.end - chart.rim)
+
+class Comparison:
+    """A diagram beside the contours of the finer scan: what is `wrong`, and what is only `noted` as near-degenerate."""
+
+    def __init__(self, chart: Chart, condition, diagram):
+        self.chart, self.condition, self.diagram = chart, condition, diagram
+        law = diagram.scene.membrane.breakdown
+        lines = [Line(chart, points, condition, law) for points in chart.lines(condition)]
+        self.lines = [piece for line in lines for piece in line.pieces() if piece.length > 1e-2]
+        self.branches = [_dense(b) for b in diagram.branches]
+        self.scanned = [point for line in self.lines for point in line.special()]
+        self.drawn = drawn_points(diagram, chart.limit)
+        self.wrong, self.noted, self.largest = [], [], 0.0
+
+    def inner(self, t, apex):
+        """Where states are off the edges of the window."""
+        share = (apex - self.chart.rim) / (self.chart.end - self.chart.rim)
         return (t < TOP - EDGE) & (t > BOTTOM + EDGE) & (share > 1e-3) & (share < 1 - EDGE)
 
-    for line in lines:
-        away = np.min([distances(line.x, b) for b in branches], axis=0) if branches else np.full(len(line.x), np.inf)
-        for run in _runs((away > NEAR) & inner(line.t, line.apex)):
-            length = float(np.linalg.norm(np.diff(line.x[run], axis=0), axis=1).sum())
-            k = run.start + int(np.argmax(away[run]))
-            at = {
-                "apex_stretch": line.apex[k],
-                "pressure": line.p[k],
-                "volume": line.v[k],
-                "t": line.t[k],
-                "length": length,
-            }
-            (wrong if length > NEAR else noted).append(
-                {"what": "branch missed", "closed": line.closed, "away": away[k]} | at
-            )
-    for number, branch in enumerate(diagram.branches):
-        t = branch.voltage_squared / truth.largest_load(branch.apex_stretch, chart.limit)
-        own = np.stack([branch.apex_stretch, branch.pressure, branch.voltage_squared], axis=1) / SCALE
-        away = np.min([distances(own, line.x) for line in lines], axis=0) if lines else np.full(len(own), np.inf)
-        for run in _runs((away > NEAR) & inner(t, branch.apex_stretch)):
-            k = run.start + int(np.argmax(away[run]))
-            at = {"branch": number, "apex_stretch": branch.apex_stretch[k], "pressure": branch.pressure[k], "t": t[k]}
-            entry = {"what": "branch invented", "points": run.stop - run.start, "away": away[k]} | at
-            (noted if _real(branch, run, chart, condition) else wrong).append(entry)
-    counts = [
-        (_pieces([line.x for line in lines], chart, top), _pieces(branches, chart, top)) for top in (0.895, 0.885, 0.87)
-    ]
-    if any(a != b for a, b in counts):
-        where = noted if any(a == b for a, b in counts) else wrong
-        where.append({"what": "number of branches", "scan, diagram at t < 0.895, 0.885, 0.87": counts})
+    def add(self, entry: dict, wrong: bool) -> None:
+        (self.wrong if wrong else self.noted).append(entry)
 
-    scanned = [point for line in lines for point in line.special()]
-    drawn = []
-    for p in diagram.special_points:
-        if p.kind not in ("fold", "zero_voltage", "breakdown"):
-            continue
-        t = p.voltage_squared / float(truth.largest_load(p.apex_stretch, chart.limit))
-        drawn.append(
-            {
-                "kind": p.kind,
-                "branch": p.branch,
-                "apex_stretch": p.apex_stretch,
-                "pressure": p.pressure,
-                "volume": p.volume,
-            }
-            | {"voltage_squared": p.voltage_squared, "load_fraction": t, "error_estimate": p.error_estimate}
-        )
-    largest = 0.0
-    free = list(range(len(drawn)))
-    for s in sorted(scanned, key=lambda s: s["weak"]):
-        if not math.isfinite(s["apex_stretch"]):
-            noted.append({"what": f"{s['kind']} nearly tangent"})
-            continue
-        apart = [(_apart(s, drawn[k]), k) for k in free if drawn[k]["kind"] == s["kind"]]
-        if apart and min(apart)[0] < 0.1:
-            k = min(apart)[1]
-            free.remove(k)
-            difference = abs(drawn[k]["voltage_squared"] - s["voltage_squared"]) / max(abs(s["voltage_squared"]), 1e-3)
-            if s["kind"] == "zero_voltage":
-                difference = abs(drawn[k]["volume"] / s["volume"] - 1)
-            if not s["weak"]:
-                largest = max(largest, difference)
-                if difference > POSITION and inner(s["load_fraction"], s["apex_stretch"]):
-                    entry = {"what": f"{s['kind']} elsewhere", "difference": difference, "scan": s, "diagram": drawn[k]}
-                    # a state that is not on the contour to this precision cannot say where the fold is
-                    off = [_off(r, chart, condition) for r in (s, drawn[k])]
-                    (noted if off[0] > POSITION and off[1] < 1e-6 else wrong).append(entry)
-        else:
-            hard = inner(s["load_fraction"], s["apex_stretch"]) and not s["weak"]
-            # at the cliff the fixed grid of the scan's map may err, and its line waver about the diagram's: where a state is
-            # not on the contour by an adaptive map, it cannot say where q turns
-            place = scaled(*(np.array([s[n]]) for n in ("apex_stretch", "pressure", "voltage_squared")))
-            along = any(distances(place, b)[0] < 0.05 for b in branches)
-            off = _off(s, chart, condition) if hard else 0.0
-            hard = hard and off < (POSITION if along else 1e-3)
-            # or shows one fold twice, on both sides of where its line is torn
-            hard = hard and not any(d["kind"] == s["kind"] and _apart(s, d) < 0.01 for d in drawn)
-            (wrong if hard else noted).append({"what": f"{s['kind']} missed", "scan": s})
-    for k in free:
-        if drawn[k]["load_fraction"] < TOP:
-            hard = inner(drawn[k]["load_fraction"], drawn[k]["apex_stretch"])
-            (wrong if hard else noted).append({"what": f"{drawn[k]['kind']} invented", "diagram": drawn[k]})
-    invented = [w for w in wrong if w["what"].endswith("invented") or w["what"] == "number of branches"]
-    if invented:
-        # the scan erred somewhere, or is the coarser; where the whole diagram is real, so is what the scan lacks
-        windows = [
-            inner(b.voltage_squared / truth.largest_load(b.apex_stretch, chart.limit), b.apex_stretch)
-            for b in diagram.branches
-        ]
-        if all(_real(b, w, chart, condition) for b, w in zip(diagram.branches, windows, strict=True)):
-            noted += invented
-            wrong = [w for w in wrong if w not in invented]
-    kinds = {k: sum(s["kind"] == k and not s["weak"] for s in scanned) for k in ("fold", "zero_voltage", "breakdown")}
+    def load_fraction(self, branch):
+        return branch.voltage_squared / truth.largest_load(branch.apex_stretch, self.chart.limit)
+
+    def seek_missed_branches(self) -> None:
+        """Pieces of contour that are on no branch."""
+        for line in self.lines:
+            away = [distances(line.x, b) for b in self.branches]
+            away = np.min(away, axis=0) if away else np.full(len(line.x), np.inf)
+            for run in _runs((away > NEAR) & self.inner(line.t, line.apex)):
+                length = float(np.linalg.norm(np.diff(line.x[run], axis=0), axis=1).sum())
+                k = run.start + int(np.argmax(away[run]))
+                at = {"apex_stretch": line.apex[k], "pressure": line.p[k], "volume": line.v[k], "t": line.t[k]}
+                entry = {"what": "branch missed", "closed": line.closed, "away": away[k]} | at | {"length": length}
+                self.add(entry, length > NEAR)
+
+    def seek_invented_branches(self) -> None:
+        """Pieces of branches that are on no contour."""
+        for number, branch in enumerate(self.diagram.branches):
+            t = self.load_fraction(branch)
+            own = np.stack([branch.apex_stretch, branch.pressure, branch.voltage_squared], axis=1) / SCALE
+            away = [distances(own, line.x) for line in self.lines]
+            away = np.min(away, axis=0) if away else np.full(len(own), np.inf)
+            for run in _runs((away > NEAR) & self.inner(t, branch.apex_stretch)):
+                k = run.start + int(np.argmax(away[run]))
+                at = {"apex_stretch": branch.apex_stretch[k], "pressure": branch.pressure[k], "t": t[k]}
+                entry = {"what": "branch invented", "points": run.stop - run.start, "away": away[k], "branch": number}
+                self.add(entry | at, not _real(branch, run, self.chart, self.condition))
+
+    def count_pieces(self) -> tuple[int, int]:
+        """The numbers of connected pieces of contour and of branches, which should be equal."""
+        lines = [line.x for line in self.lines]
+        counts = [(_pieces(lines, self.chart, t), _pieces(self.branches, self.chart, t)) for t in (0.895, 0.885, 0.87)]
+        if any(a != b for a, b in counts):
+            entry = {"what": "number of branches", "scan, diagram at t < 0.895, 0.885, 0.87": counts}
+            self.add(entry, not any(a == b for a, b in counts))
+        return counts[0]
+
+    def pair_points(self) -> None:
+        """Special points of the scan with those of the diagram, the weak ones last."""
+        free = list(range(len(self.drawn)))
+        for s in sorted(self.scanned, key=lambda s: s["weak"]):
+            if not math.isfinite(s["apex_stretch"]):
+                self.add({"what": f"{s['kind']} nearly tangent"}, False)
+                continue
+            apart = [(_apart(s, self.drawn[k]), k) for k in free if self.drawn[k]["kind"] == s["kind"]]
+            if apart and min(apart)[0] < 0.1:
+                k = min(apart)[1]
+                free.remove(k)
+                if not s["weak"]:
+                    self.judge_pair(s, self.drawn[k])
+            else:
+                self.add({"what": f"{s['kind']} missed", "scan": s}, self.is_missed(s))
+        for d in (self.drawn[k] for k in free):
+            if d["load_fraction"] < TOP:
+                hard = self.inner(d["load_fraction"], d["apex_stretch"])
+                self.add({"what": f"{d['kind']} invented", "diagram": d}, hard)
+
+    def judge_pair(self, s: dict, d: dict) -> None:
+        """How far a point of the scan is from that of the diagram."""
+        difference = abs(d["voltage_squared"] - s["voltage_squared"]) / max(abs(s["voltage_squared"]), 1e-3)
+        if s["kind"] == "zero_voltage":
+            difference = abs(d["volume"] / s["volume"] - 1)
+        self.largest = max(self.largest, difference)
+        if difference > POSITION and self.inner(s["load_fraction"], s["apex_stretch"]):
+            # a state that is not on the contour to this precision cannot say where the fold is
+            off = [_off(r, self.chart, self.condition) for r in (s, d)]
+            entry = {"what": f"{s['kind']} elsewhere", "difference": difference, "scan": s, "diagram": d}
+            self.add(entry, not (off[0] > POSITION and off[1] < 1e-6))
+
+    def is_missed(self, s: dict) -> bool:
+        """Whether the diagram lacks a point that the scan shows without doubt."""
+        hard = self.inner(s["load_fraction"], s["apex_stretch"]) and not s["weak"]
+        # at the cliff the fixed grid of the scan's map may err, and its line waver about the diagram's: where a state is
+        # not on the contour by an adaptive map, it cannot say where q turns
+        place = scaled(*(np.array([s[n]]) for n in ("apex_stretch", "pressure", "voltage_squared")))
+        along = any(distances(place, b)[0] < 0.05 for b in self.branches)
+        off = _off(s, self.chart, self.condition) if hard else 0.0
+        hard = hard and off < (POSITION if along else 1e-3)
+        # or shows one fold twice, on both sides of where its line is torn
+        return hard and not any(d["kind"] == s["kind"] and _apart(s, d) < 0.01 for d in self.drawn)
+
+    def forgive_the_scan(self) -> None:
+        """The scan erred somewhere, or is the coarser: where the whole diagram is real, so is what the scan lacks."""
+        invented = [w for w in self.wrong if w["what"].endswith("invented") or w["what"] == "number of branches"]
+        if not invented:
+            return
+        windows = [self.inner(self.load_fraction(b), b.apex_stretch) for b in self.diagram.branches]
+        pairs = zip(self.diagram.branches, windows, strict=True)
+        if all(_real(b, w, self.chart, self.condition) for b, w in pairs):
+            self.noted += invented
+            self.wrong = [w for w in self.wrong if w not in invented]
+
+
+def compare(chart: Chart, condition, diagram) -> dict:
+    """What differs between a diagram and the contours of the finer scan."""
+    both = Comparison(chart, condition, diagram)
+    both.seek_missed_branches()
+    both.seek_invented_branches()
+    pieces = both.count_pieces()
+    both.pair_points()
+    both.forgive_the_scan()
+    sure = [s["kind"] for s in both.scanned if not s["weak"]]
     return {
-        "lines": len(lines),
-        "mended_vertices": int(sum(line.unresolved.sum() for line in lines)),
-        "branches": len(branches),
-        "pieces": counts[0],
-        "scan": kinds,
-        "largest_difference": largest,
+        "lines": len(both.lines),
+        "mended_vertices": int(sum(line.unresolved.sum() for line in both.lines)),
+        "branches": len(both.branches),
+        "pieces": pieces,
+        "scan": {kind: sure.count(kind) for kind in ("fold", "zero_voltage", "breakdown")},
+        "largest_difference": both.largest,
         "invalid_nodes": chart.invalid_nodes,
-        "disagreements": wrong,
-        "near_degenerate": noted,
+        "disagreements": both.wrong,
+        "near_degenerate": both.noted,
     }
 
 
@@ -505,21 +509,21 @@ def estimates(diagram, limit: float) -> dict:
 def one(scene: dict) -> dict:
     """The record of a scene; never raises."""
     record: dict = {"scene": scene, "status": "agreement"}
-    begin = time.perf_counter()
+    scan, engine = harness.Stopwatch(), harness.Stopwatch()
     try:
-        chart = Chart(scene["stretch_limit"], scene["prestretch"])
-        loading, condition = resolve(scene, chart)
-        record["scan_seconds"] = time.perf_counter() - begin
+        with scan:
+            chart = Chart(scene["stretch_limit"], scene["prestretch"])
+            loading, condition = resolve(scene, chart)
+        record["scan_seconds"] = scan.seconds
         membrane = dj.Membrane(dj.Gent(scene["stretch_limit"]), scene["prestretch"])
-        begin = time.perf_counter()
-        diagram = dj.voltage_volume(dj.Scene(membrane, loading))
-        record["diagram_seconds"] = time.perf_counter() - begin
+        diagram = engine.time(dj.voltage_volume, dj.Scene(membrane, loading))
+        record["diagram_seconds"] = engine.seconds
         diagram.to_json()
         record["complete"] = diagram.complete
         record |= estimates(diagram, scene["stretch_limit"])
         record["ramp"] = [e.event for e in diagram.events]
         record["area_strain_reason"] = diagram.area_strain_reason
-        record |= compare(scene, chart, condition, diagram)
+        record |= compare(chart, condition, diagram)
         if record["disagreements"]:
             record["status"] = "disagreement"
     except Exception as error:  # listed with its scene, so that one scene does not end the run
@@ -552,45 +556,41 @@ def summary(records: list[dict], options, seconds: float) -> dict:
         "largest_difference": max((r.get("largest_difference", 0.0) for r in done), default=None),
         "diagram_seconds": {"median": float(np.median(times)), "max": max(times)} if times else {},
         "seconds": seconds,
-        "machine": machine(),
+        "machine": harness.machine(),
         "records": records,
     }
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = harness.arguments(__doc__, "2 scenes", seed=True)
     parser.add_argument("--scenes", type=int, default=1000, help="number of random scenes")
-    parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--first", type=int, default=0, help="start at this scene of the sequence")
-    parser.add_argument("--json", metavar="FILE", help='"-" is standard output')
-    parser.add_argument("--quick", action="store_true", help="2 scenes")
     options = parser.parse_args()
     if options.quick:
         options.scenes = 2
-    started = time.perf_counter()
-    print(f"seed {options.seed}, {options.scenes} scenes", file=sys.stderr)
+    report = harness.Progress()
+    harness.say(f"seed {options.seed}, {options.scenes} scenes")
     records: list[dict] = []
-    for number, scene in enumerate(draw(options.first + options.scenes, options.seed)):
+    for number, scene in enumerate(film_scenes(options.seed, options.first + options.scenes)):
         if number < options.first:
             continue
         record = {"number": number} | one(scene)
         records.append(record)
-        seconds = time.perf_counter() - started
-        text = f"[{seconds:7.1f} s] {number:4} {record['status']}"
+        text = f"{number:4} {record['status']}"
         if record["status"] == "exception":
             text += f" {record['error']}"
         else:
             text += f" complete={record['complete']} {record['diagram_seconds']:.1f} s, {record['branches']} branches {record['scan']}"
             for d in record["disagreements"]:
                 text += f"\n             {d}"
-        print(text, file=sys.stderr, flush=True)
-        write(summary(records, options, seconds), options.json, partial=True)
-    document = summary(records, options, time.perf_counter() - started)
-    write(document, options.json)
+        report(text)
+        harness.write(summary(records, options, report.seconds), options.json, partial=True)
+    document = summary(records, options, report.seconds)
     for name, value in document["counts"].items():
-        print(f"{name:36} {value}", file=sys.stderr)
+        harness.say(f"{name:36} {value}")
     counts = document["counts"]
-    return 0 if not (counts["disagreement"] or counts["exception"] or counts["not_complete"]) else 1
+    good = not (counts["disagreement"] or counts["exception"] or counts["not_complete"])
+    return harness.finish(document, options.json, good)
 
 
 if __name__ == "__main__":

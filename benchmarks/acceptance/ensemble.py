@@ -3,21 +3,20 @@
 Random scenes of membranes with prestretch 1 to 3 and limiting stretch J from 50 to 1000, four of five on a chamber, the rest at
 constant pressure. Every scene that the surface decides is compared with continuation: the way the ramp ends, voltage and
 volume of every event up and down, the area strain, and the special points of the branch. First with `continue_scenes`; what
-that does not decide, or tells otherwise by more than 1e-8, and a random sample of the rest are compared with `voltage_volume`,
+that does not decide, or where it differs by more than 1e-8, and a random sample of the rest are compared with `voltage_volume`,
 which has the last word. All are timed in the same run, warm, the surface's time beside its error.
 
     python -m benchmarks.acceptance.ensemble [--scenes 10000] [--membranes 10] [--sample 300] [--seed 0] [--json FILE|-] [--quick]
 """
 
-import argparse
 import sys
-import time
 
 import jax
 import numpy as np
 
 import dielectric_jax as dj
-from benchmarks.harness import machine, write
+from benchmarks import harness
+from benchmarks.random_scenes import film_loadings, gent_films
 from dielectric_jax.model import Outcome
 
 jax.config.update("jax_enable_x64", True)
@@ -30,13 +29,6 @@ REASONS = {
     Outcome.no_landing: ("no landing",),
     Outcome.start_unstable: ("start_unstable",),
 }
-
-
-def largest_filling(membrane) -> float:
-    """The volume at the peak of the pressure at zero voltage, or a tenth of the largest where there is none."""
-    curve = dj.pressure_volume(membrane)
-    folds = [p.volume for p in curve.special_points if p.kind == "fold"]
-    return min(folds) if folds else 0.1 * float(max(b.volume.max() for b in curve.branches))
 
 
 def pairs_of(ramps, i: int, diagram):
@@ -104,16 +96,6 @@ def difference(ramps, i: int, diagram) -> tuple[float, list[str]]:
     return worst, missing
 
 
-def random_loadings(membrane, count: int, random) -> list:
-    """Chambers and constant pressures; chambers first."""
-    held = count // 5
-    chambers = np.exp(random.uniform(np.log(10), np.log(25000), count - held))
-    fillings = random.uniform(0.01, 1, count - held) * largest_filling(membrane)
-    pairs = zip(chambers, fillings, strict=True)
-    loadings = [dj.Chamber(volume=float(c), initial_volume=float(v)) for c, v in pairs]
-    return [*loadings, *(dj.ConstantPressure(float(p)) for p in random.uniform(0.4, 2.0, held))]
-
-
 def batches(surface, loadings: list):
     """(ramps, loadings) of the chambers and of the constant pressures."""
     chambers = [x for x in loadings if isinstance(x, dj.Chamber)]
@@ -131,7 +113,7 @@ def apart(mine, theirs) -> np.ndarray:
 
 
 def agree(ramps, i: int, others, j: int) -> tuple[bool, float]:
-    """Whether the surface and `continue_scenes` tell the same of one scene, and the largest difference of their loads.
+    """Whether the surface and `continue_scenes` agree on one scene, and the largest difference of their loads.
 
     The places of folds are vague in lanes, which say so in their error: volumes may differ by ten times that.
     """
@@ -174,36 +156,27 @@ def agree(ramps, i: int, others, j: int) -> tuple[bool, float]:
 
 def one_membrane(membrane, count: int, sample: int, random, records: list) -> dict:
     """Compares `count` scenes of one membrane; appends those that differ to `records`."""
-    begin = time.perf_counter()
-    surface = dj.Surface.build(membrane, cache=False)
-    build = time.perf_counter() - begin
-    loadings = random_loadings(membrane, count, random)
-    list(batches(surface, loadings))
-    begin = time.perf_counter()
-    done = list(batches(surface, loadings))
-    seconds = time.perf_counter() - begin
+    build, by_batch, by_single = (harness.Stopwatch() for _ in range(3))
+    surface = build.time(dj.Surface.build, membrane, cache=False)
+    loadings = film_loadings(random, membrane, count)
+    on_surface = harness.timed(lambda: list(batches(surface, loadings)), 1)
     tally = {"by_batch": 0, "by_single": 0, "unresolved": 0, "largest_difference": 0.0}
-    spent_batch = spent = 0.0
-    for ramps, part in done:
+    for ramps, part in on_surface.value:
         tally["unresolved"] += int((ramps.outcome == Outcome.unresolved).sum())
-        told = np.flatnonzero(ramps.outcome != Outcome.unresolved)
-        if not told.size:
+        decided = np.flatnonzero(ramps.outcome != Outcome.unresolved)
+        if not decided.size:
             continue
-        scenes = [dj.Scene(membrane, part[i]) for i in told]
-        begin = time.perf_counter()
-        others = dj.continue_scenes(scenes).ramps
-        spent_batch += time.perf_counter() - begin
-        chosen = set(random.permutation(told)[: -(-sample * len(told) // count)].tolist())
-        for j, i in enumerate(told.tolist()):
+        scenes = [dj.Scene(membrane, part[i]) for i in decided]
+        others = by_batch.time(dj.continue_scenes, scenes).ramps
+        chosen = set(random.permutation(decided)[: -(-sample * len(decided) // count)].tolist())
+        for j, i in enumerate(decided.tolist()):
             alike, apart = agree(ramps, i, others, j)
             tally["by_batch"] += alike
             if alike:
                 tally["largest_difference"] = max(tally["largest_difference"], apart)
             if alike and i not in chosen:
                 continue
-            begin = time.perf_counter()
-            diagram = dj.voltage_volume(scenes[j])
-            spent += time.perf_counter() - begin
+            diagram = by_single.time(dj.voltage_volume, scenes[j])
             tally["by_single"] += 1
             apart, missing = difference(ramps, i, diagram)
             tally["largest_difference"] = max(tally["largest_difference"], apart)
@@ -215,40 +188,33 @@ def one_membrane(membrane, count: int, sample: int, random, records: list) -> di
         "prestretch": float(membrane.prestretch),
         "stretch_limit": float(membrane.material.stretch_limit),
         "elements": len(surface.errors),
-        "build_seconds": build,
+        "build_seconds": build.seconds,
         "scenes": count,
         "compared": count - tally["unresolved"],
         **tally,
-        "microseconds_per_scene": seconds / count * 1e6,
-        "microseconds_per_scene_by_batch": spent_batch / max(count - tally["unresolved"], 1) * 1e6,
-        "microseconds_per_diagram_by_continuation": spent / max(tally["by_single"], 1) * 1e6,
+        "microseconds_per_scene": on_surface.best / count * 1e6,
+        "microseconds_per_scene_by_batch": by_batch.seconds / max(count - tally["unresolved"], 1) * 1e6,
+        "microseconds_per_diagram_by_continuation": by_single.seconds / max(tally["by_single"], 1) * 1e6,
     }
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = harness.arguments(__doc__, "12 scenes of one membrane, 4 of them by voltage_volume", seed=True)
     parser.add_argument("--scenes", type=int, default=10_000, help="number of random scenes")
     parser.add_argument("--membranes", type=int, default=10)
     parser.add_argument("--sample", type=int, default=300, help="scenes compared with voltage_volume in any case")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--json", metavar="FILE", help='"-" is standard output')
-    parser.add_argument("--quick", action="store_true", help="12 scenes of one membrane, 4 of them by voltage_volume")
     options = parser.parse_args()
     random = np.random.default_rng(options.seed)
-    membranes = [dj.Membrane()]
-    if not options.quick:
-        more = options.membranes - 1
-        drawn = zip(random.uniform(1, 3, more), np.exp(random.uniform(np.log(50), np.log(1000), more)), strict=True)
-        membranes += [dj.Membrane(prestretch=w, material=dj.Gent(stretch_limit=j)) for w, j in drawn]
-    else:
+    membranes = gent_films(random, 1 if options.quick else options.membranes)
+    if options.quick:
         options.sample = 4
     count = 12 if options.quick else max(1, options.scenes // len(membranes))
-    print(f"seed {options.seed}, {count * len(membranes)} scenes", file=sys.stderr)
+    harness.say(f"seed {options.seed}, {count * len(membranes)} scenes")
     differing: list[dict] = []
     groups = []
     for membrane in membranes:
         groups.append(one_membrane(membrane, count, -(-options.sample // len(membranes)), random, differing))
-        print(groups[-1], file=sys.stderr, flush=True)
+        harness.say(groups[-1])
         document = {
             "name": "ensemble",
             "engine": "surface against continuation",
@@ -257,14 +223,12 @@ def main() -> int:
             "differing": differing,
             "largest_difference": max(g["largest_difference"] for g in groups),
             "groups": groups,
-            "machine": machine(),
+            "machine": harness.machine(),
         }
-        write(document, options.json, partial=True)
-    write(document, options.json)
+        harness.write(document, options.json, partial=True)
     for record in differing:
-        print(record, file=sys.stderr)
-    print("FAILED" if differing else "PASSED", file=sys.stderr)
-    return 1 if differing else 0
+        harness.say(record)
+    return harness.finish(document, options.json, not differing)
 
 
 if __name__ == "__main__":

@@ -6,16 +6,16 @@ in extended precision that shares no code with the package (`truth.py`), for a p
     python -m benchmarks.acceptance.error_honesty [--scenes 10000] [--seed 0] [--json FILE|-] [--quick]
 """
 
-import argparse
 import dataclasses
 import sys
-import time
 
 import jax
 import numpy as np
 
 import dielectric_jax as dj
-from benchmarks.harness import machine, write
+from benchmarks import harness
+from benchmarks.explicit import in_chunks
+from benchmarks.random_scenes import loaded_states
 from benchmarks.truth import extended_precision as truth
 from dielectric_jax.model.corrector import corrected_points
 from dielectric_jax.model.loading import LoadingCondition
@@ -24,37 +24,9 @@ jax.config.update("jax_enable_x64", True)
 dj.enable_compilation_cache()
 
 TOLERANCE, ALLOWED_RATIO, TOP = 1e-9, 10.0, 0.9
-KINDS = ("voltage", "pressure", "chamber")
-CROWDS = ("even", "near t = 0.9", "flat end", "lock-up", "lock-up near t = 0.9")
-
-
-def draw(count: int, seed: int) -> dict:
-    """Random states: arrays of shape (count,)."""
-    random = np.random.default_rng(seed)
-    rim = random.uniform(1, 3, count)
-    limit = np.exp(random.uniform(np.log(50), np.log(1000), count))
-    scene_batch = random.choice(len(CROWDS), count, p=[0.5, 0.15, 0.1, 0.125, 0.125])
-    t = random.uniform(-1, TOP, count)
-    t = np.where(
-        (scene_batch == 1) | (scene_batch == 4), TOP - np.exp(random.uniform(np.log(1e-4), np.log(0.2), count)), t
-    )
-    share = random.uniform(1e-4, 1, count)
-    share = np.where(scene_batch == 2, np.exp(random.uniform(np.log(1e-4), np.log(0.1), count)), share)
-    share = np.where(scene_batch >= 3, random.uniform(0.93, 1, count), share)
-    apex = rim + share * (np.array([truth.lock_up(j) for j in limit]) - rim)
-    kind = random.choice(len(KINDS), count, p=[0.5, 0.2, 0.3])
-    chamber = np.exp(random.uniform(np.log(10), np.log(25000), count))
-    return {
-        "crowd": scene_batch,
-        "kind": kind,
-        "prestretch": rim,
-        "stretch_limit": limit,
-        "apex_stretch": apex,
-        "t": t,
-    } | {
-        "chamber_volume": chamber,
-        "q": t * truth.largest_load(apex, limit),
-    }
+# and their shares of the states
+KINDS = {"voltage": 0.5, "pressure": 0.2, "chamber": 0.3}
+CROWDS = {"even": 0.5, "near t = 0.9": 0.15, "flat end": 0.1, "lock-up": 0.125, "lock-up near t = 0.9": 0.125}
 
 
 @jax.jit
@@ -68,15 +40,10 @@ def _map_with_slopes(limit, apex, q, rim):
 
 
 def start(states: dict) -> dict:
-    """The explicit map's pressure, volume and their slopes by q, in chunks."""
-    names = ("stretch_limit", "apex_stretch", "q", "prestretch")
-    count, chunk = len(states["q"]), 256
-    out = []
-    for i in range(0, count, chunk):
-        part = [np.pad(states[n][i : i + chunk], (0, max(0, i + chunk - count)), mode="edge") for n in names]
-        (p, v), (pq, vq) = _map_with_slopes(*part)
-        out.append(np.stack([p, v, pq, vq])[:, : count - i])
-    return dict(zip(("p", "v", "p_by_q", "v_by_q"), np.concatenate(out, axis=1), strict=True))
+    """The explicit map's pressure, volume and their slopes by q."""
+    columns = [states[n] for n in ("stretch_limit", "apex_stretch", "q", "prestretch")]
+    found = in_chunks(lambda *part: [w for pair in _map_with_slopes(*part) for w in pair], columns, 256)
+    return dict(zip(("p", "v", "p_by_q", "v_by_q"), found, strict=True))
 
 
 def contour_through(kind: int, chamber: float, p: float, v: float, q: float) -> LoadingCondition:
@@ -179,8 +146,8 @@ def describe(states: dict, i: int) -> dict:
     """Everything that reproduces state i."""
     names = ("prestretch", "stretch_limit", "apex_stretch", "t", "q")
     out = {n: float(states[n][i]) for n in names} | {
-        "loading": KINDS[states["kind"][i]],
-        "crowd": CROWDS[states["crowd"][i]],
+        "loading": list(KINDS)[states["kind"][i]],
+        "crowd": list(CROWDS)[states["crowd"][i]],
     }
     return out | ({"chamber_volume": float(states["chamber_volume"][i])} if states["kind"][i] == 2 else {})
 
@@ -195,96 +162,97 @@ def quantiles(values) -> dict:
     }
 
 
+class Judged:
+    """The engine's answers beside the truth: arrays of shape (count,)."""
+
+    def __init__(self, states: dict, found: dict, error: np.ndarray, uncertain: np.ndarray):
+        self.states, self.error, self.uncertain = states, error, uncertain
+        self.estimate, self.ok = found["estimate"], found["ok"]
+        with np.errstate(all="ignore"):
+            self.ratio = np.where(self.ok, error / self.estimate, np.nan)
+            self.unsure = self.ok & ~(uncertain < 0.3 * self.estimate)
+        self.sure_ratio = np.where(self.unsure, np.nan, self.ratio)
+        # a state drawn just below t = 0.9 may turn out to lie just above, where nothing is promised
+        drawn = zip(states["apex_stretch"], states["stretch_limit"], strict=True)
+        limit = np.array([float(truth.largest_load(a, j)) for a, j in drawn])
+        self.beyond = self.ok & (found["q"] > TOP * limit)
+        self.above = self.ok & ~self.beyond & ~(self.estimate <= TOLERANCE)
+
+    def case(self, i) -> dict:
+        out = describe(self.states, i) | {"ok": bool(self.ok[i]), "estimate": self.estimate[i]}
+        return out | {"true_error": self.error[i], "ratio": self.ratio[i], "truth_uncertainty": self.uncertain[i]}
+
+    def worst(self, key, which, most=25) -> list[dict]:
+        """The cases `which` with the largest keys."""
+        key = np.nan_to_num(key, posinf=1e300)
+        order = sorted(np.flatnonzero(which), key=lambda i: -key[i])
+        return [self.case(i) for i in order[:most]]
+
+    def groups(self) -> dict:
+        """Counts and quantiles of every crowd and every kind of loading."""
+        out = {}
+        for label, names, member in (("crowd", CROWDS, "crowd"), ("loading", KINDS, "kind")):
+            for k, name in enumerate(names):
+                mine = self.states[member] == k
+                out[f"{label}: {name}"] = {
+                    "states": int(mine.sum()),
+                    "not_converged": int((mine & ~self.ok).sum()),
+                    "estimate_above_tolerance": int((mine & self.above).sum()),
+                    "ratio": quantiles(self.sure_ratio[mine]),
+                    "estimate": quantiles(self.estimate[mine & self.ok]),
+                    "true_error": quantiles(self.error[mine & self.ok]),
+                }
+        return out
+
+    def counts(self) -> dict:
+        return {
+            "states": len(self.ok),
+            "converged": int(self.ok.sum()),
+            "not_converged": int((~self.ok).sum()),
+            "ratio_above_allowed": int((self.sure_ratio > ALLOWED_RATIO).sum()),
+            "found_beyond_the_loads_asked_for": int(self.beyond.sum()),
+            "estimate_above_tolerance": int(self.above.sum()),
+            "true_error_above_tolerance": int((self.ok & ~self.beyond & (self.error > TOLERANCE)).sum()),
+            "truth_not_sharp_enough": int(self.unsure.sum()),
+        }
+
+
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = harness.arguments(__doc__, "12 states", seed=True)
     parser.add_argument("--scenes", type=int, default=10_000, help="number of random states")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--json", metavar="FILE", help='"-" is standard output')
-    parser.add_argument("--quick", action="store_true", help="12 states")
     options = parser.parse_args()
     count = 12 if options.quick else options.scenes
-    started = time.perf_counter()
-
-    def report(text):
-        print(f"[{time.perf_counter() - started:7.1f} s] {text}", file=sys.stderr, flush=True)
-
+    report, watch = harness.Progress(), harness.Stopwatch()
     report(f"seed {options.seed}, {count} states")
-    states = draw(count, options.seed)
+    states = loaded_states(options.seed, count, KINDS, CROWDS, TOP)
     begin = start(states)
-    before = time.perf_counter()
-    found, raised = engine(states, begin, report)
-    engine_seconds = time.perf_counter() - before
-    error, uncertain = true_errors(states, begin, found, report)
-    estimate, ok = found["estimate"], found["ok"]
-    with np.errstate(all="ignore"):
-        ratio = np.where(ok, error / estimate, np.nan)
-        unsure = ok & ~(uncertain < 0.3 * estimate)
-    ratio_sure = np.where(unsure, np.nan, ratio)
-    # a state drawn just below t = 0.9 may turn out to lie just above, where nothing is promised
-    limit = np.array(
-        [float(truth.largest_load(a, j)) for a, j in zip(states["apex_stretch"], states["stretch_limit"], strict=True)]
-    )
-    beyond = ok & (found["q"] > TOP * limit)
-    above = ok & ~beyond & ~(estimate <= TOLERANCE)
-
-    def case(i):
-        out = describe(states, i) | {"ok": bool(ok[i]), "estimate": estimate[i], "true_error": error[i]}
-        return out | {"ratio": ratio[i], "truth_uncertainty": uncertain[i]}
-
-    def worst(key, which, most=25):
-        order = sorted(np.flatnonzero(which), key=lambda i: -key[i])
-        return [case(i) for i in order[:most]]
-
-    by_group = {}
-    for label, groups, member in (("crowd", CROWDS, states["crowd"]), ("loading", KINDS, states["kind"])):
-        for k, name in enumerate(groups):
-            mine = member == k
-            by_group[f"{label}: {name}"] = {
-                "states": int(mine.sum()),
-                "not_converged": int((mine & ~ok).sum()),
-                "estimate_above_tolerance": int((mine & above).sum()),
-                "ratio": quantiles(ratio_sure[mine]),
-                "estimate": quantiles(estimate[mine & ok]),
-                "true_error": quantiles(error[mine & ok]),
-            }
-    checked = ok & ~unsure
+    found, raised = watch.time(engine, states, begin, report)
+    judged = Judged(states, found, *true_errors(states, begin, found, report))
+    ok, counts = judged.ok, judged.counts() | {"exceptions": len(raised)}
     document = {
         "name": "error_honesty",
         "engine": "shooting",
         "parameters": {"states": count, "seed": options.seed, "tolerance": TOLERANCE, "allowed_ratio": ALLOWED_RATIO},
-        "counts": {
-            "states": count,
-            "converged": int(ok.sum()),
-            "not_converged": int((~ok).sum()),
-            "exceptions": len(raised),
-            "ratio_above_allowed": int((ratio_sure > ALLOWED_RATIO).sum()),
-            "found_beyond_the_loads_asked_for": int(beyond.sum()),
-            "estimate_above_tolerance": int(above.sum()),
-            "true_error_above_tolerance": int((ok & ~beyond & (error > TOLERANCE)).sum()),
-            "truth_not_sharp_enough": int(unsure.sum()),
-        },
-        "share_above_tolerance": float(above.sum() / max(ok.sum(), 1)),
-        "ratio": quantiles(ratio_sure),
-        "estimate": quantiles(estimate[ok]),
-        "true_error": quantiles(error[ok]),
-        "groups": by_group,
+        "counts": counts,
+        "share_above_tolerance": float(judged.above.sum() / max(ok.sum(), 1)),
+        "ratio": quantiles(judged.sure_ratio),
+        "estimate": quantiles(judged.estimate[ok]),
+        "true_error": quantiles(judged.error[ok]),
+        "groups": judged.groups(),
         "truth_against_scipy": against_scipy(states, found, min(count, max(4, count // 20)), options.seed),
-        "worst_ratios": worst(np.nan_to_num(ratio_sure), checked),
-        "above_tolerance": worst(np.nan_to_num(estimate, posinf=1e300), above, 200),
-        "truth_not_sharp_enough": worst(np.nan_to_num(uncertain, posinf=1e300), unsure),
-        "not_converged": [case(i) for i in np.flatnonzero(~ok)[:200]],
+        "worst_ratios": judged.worst(judged.sure_ratio, ok & ~judged.unsure),
+        "above_tolerance": judged.worst(judged.estimate, judged.above, 200),
+        "truth_not_sharp_enough": judged.worst(judged.uncertain, judged.unsure),
+        "not_converged": [judged.case(i) for i in np.flatnonzero(~ok)[:200]],
         "exceptions": raised,
-        "seconds": {"engine": engine_seconds, "total": time.perf_counter() - started},
-        "machine": machine(),
+        "seconds": {"engine": watch.seconds, "total": report.seconds},
+        "machine": harness.machine(),
     }
-    write(document, options.json)
-    good = document["counts"]
-    passed = not (good["ratio_above_allowed"] or good["estimate_above_tolerance"] or good["not_converged"] or raised)
-    for name, value in good.items():
-        print(f"{name:28} {value}", file=sys.stderr)
-    print(f"true error / estimate: {document['ratio']}", file=sys.stderr)
-    print("PASSED" if passed else "FAILED", file=sys.stderr)
-    return 0 if passed else 1
+    for name, value in counts.items():
+        harness.say(f"{name:28} {value}")
+    harness.say(f"true error / estimate: {document['ratio']}")
+    passed = not (counts["ratio_above_allowed"] or counts["estimate_above_tolerance"] or counts["not_converged"])
+    return harness.finish(document, options.json, passed and not raised)
 
 
 if __name__ == "__main__":

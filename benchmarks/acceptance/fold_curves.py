@@ -3,11 +3,10 @@
     python -m benchmarks.acceptance.fold_curves [--quick] [--json FILE|-] [--figures DIR]
 
 Draws `fold_curves.png`: folds and breakdown over the chamber's volume, the filling and the prestretch, with cusps; and
-`derivatives.png`: the snap voltage with its tangents, and states at a given voltage. Known numbers are met twice, by the search
+`derivatives.png`: the snap voltage with its tangents, and states at a given voltage. Known numbers are found twice, by the search
 for one point and on the curve; folds along the first curve are compared with those of chambers on the surface.
 """
 
-import argparse
 import pathlib
 import sys
 
@@ -15,7 +14,7 @@ import jax
 import numpy as np
 
 import dielectric_jax as dj
-from benchmarks.harness import machine, write
+from benchmarks import harness
 
 jax.config.update("jax_enable_x64", True)
 
@@ -82,7 +81,7 @@ def apart_from_surface(surface, over) -> tuple[float, int]:
         for k in np.flatnonzero(inside):
             places, loads = (np.atleast_1d(v[k]) for v in (points.apex_stretch, points.voltage))
             if not np.isfinite(places).any():
-                continue  # two folds that merge here: the surface tells none
+                continue  # two folds that merge here: the surface finds none
             near = int(np.nanargmin(np.abs(places - curve.apex_stretch[k])))
             if abs(places[near] - curve.apex_stretch[k]) < 1e-3:
                 worst, compared = max(worst, abs(loads[near] / curve.voltage[k] - 1)), compared + 1
@@ -128,24 +127,23 @@ def draw_derivatives(axes, surface) -> dict:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--json")
+    parser = harness.arguments(__doc__, "few samples of two curves")
     parser.add_argument("--figures", type=pathlib.Path)
     options = parser.parse_args()
     dj.enable_compilation_cache()
     surface = dj.Surface.build(dj.Membrane())
     known = {name: float(p.parameter) for name, p in known_numbers(options.quick).items()}
     found = curves(options.quick)
-    met = on_curves(found)
-    twice = max(abs(met[name] / value - 1) for name, value in known.items())
+    on_curve = on_curves(found)
+    twice = max(abs(on_curve[name] / value - 1) for name, value in known.items())
     apart, compared = apart_from_surface(surface, found["chamber_volume"])
-    errors = {name: abs(met[name] - value) / digit for name, (value, digit) in KNOWN.items()}
+    errors = {name: abs(on_curve[name] - value) / digit for name, (value, digit) in KNOWN.items()}
     record = {
-        "machine": machine(),
+        "name": "fold_curves",
+        "machine": harness.machine(),
         "quick": options.quick,
         "by_search": known,
-        "on_curves": met,
+        "on_curves": on_curve,
         "errors_in_last_digits": errors,
         "difference_between_search_and_curve": twice,
         "difference_from_surface": apart,
@@ -169,20 +167,14 @@ def main() -> int:
         figure, axes = plt.subplots(1, 2, figsize=(9, 3.6), constrained_layout=True)
         record["tangents"] = draw_derivatives(axes, surface)
         figure.savefig(options.figures / "derivatives.png", dpi=110)
-    write(record, options.json)
     for name, error in errors.items():
-        print(
-            f"{name:34} {met[name]:.9f}  differs by {error:.2f} of half the last known digit",
-            file=sys.stderr,
-        )
-    print(
-        f"search and curve differ by {twice:.1e}, curve and surface by {apart:.1e} at {compared} points",
-        file=sys.stderr,
-    )
+        harness.say(f"{name:34} {on_curve[name]:.9f}  differs by {error:.2f} of half the last known digit")
+    harness.say(f"search and curve differ by {twice:.1e}, curve and surface by {apart:.1e} at {compared} points")
     for name, one in found.items():
-        print(f"{name}: {len(one.curves)} curves, {len(one.points)} points {' '.join(one.doubts)}", file=sys.stderr)
+        harness.say(f"{name}: {len(one.curves)} curves, {len(one.points)} points {' '.join(one.doubts)}")
     complete = all(one.complete for one in found.values())
-    return 0 if max(errors.values()) <= 1 and complete and max(twice, apart) < 1e-9 else 1
+    good = max(errors.values()) <= 1 and complete and max(twice, apart) < 1e-9
+    return harness.finish(record, options.json, good)
 
 
 if __name__ == "__main__":

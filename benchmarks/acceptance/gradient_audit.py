@@ -3,18 +3,16 @@
     python -m benchmarks.acceptance.gradient_audit [--quick] [--json FILE|-] [--only KIND ...]
 
 The reference is Richardson's extrapolation of two fourth-order central differences; what the two differ by tells its own
-uncertainty. A row also tells what a gradient costs, in units of the value, both warm and at fresh numbers.
+uncertainty. A row also holds what a gradient costs, in units of the value, both warm and at fresh numbers.
 """
 
-import argparse
+import itertools
 import sys
-import time
 
 import jax
-import numpy as np
 
 import dielectric_jax as dj
-from benchmarks.harness import machine, write
+from benchmarks import harness
 
 jax.config.update("jax_enable_x64", True)
 
@@ -117,14 +115,15 @@ def differences(function, x: float, step: float) -> tuple[float, float]:
     return near + (near - far) / 15, abs(near - far) / 15
 
 
-def seconds(function, x: float, times: int = 5) -> float:
-    """Least time of a call, each at a number of its own."""
-    best = np.inf
-    for i in range(times):
-        begin = time.perf_counter()
-        jax.block_until_ready(function(x * (1 + 1e-5 * (i + 1))))
-        best = min(best, time.perf_counter() - begin)
-    return best
+def seconds(functions: dict, x: float) -> dict:
+    """The least seconds of each function over five calls in turn, each call at a number of its own."""
+
+    def at_new_numbers(function):
+        numbers = itertools.count(1)
+        return lambda: function(x * (1 + 1e-5 * next(numbers)))
+
+    runs = {name: at_new_numbers(function) for name, function in functions.items()}
+    return {name: timing.best for name, timing in harness.timed_in_turn(runs, 5, warm_up=False).items()}
 
 
 def audit(kind: str, name: str, timed: bool) -> dict:
@@ -142,34 +141,31 @@ def audit(kind: str, name: str, timed: bool) -> dict:
     row["relative_difference"] = abs(slope - reference) / size
     row["relative_doubt"] = doubt / size
     if timed:
-        value, gradient = seconds(of, x), seconds(jax.value_and_grad(of), x)
-        row |= {"seconds_of_value": value, "seconds_of_value_and_gradient": gradient, "cost": gradient / value}
+        row |= seconds({"seconds_of_value": of, "seconds_of_value_and_gradient": jax.value_and_grad(of)}, x)
+        row["cost"] = row["seconds_of_value_and_gradient"] / row["seconds_of_value"]
     return row
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--json")
+    parser = harness.arguments(__doc__, "two rows, without their cost")
     parser.add_argument("--only", nargs="*", metavar="KIND")
     options = parser.parse_args()
     dj.enable_compilation_cache()
     records = []
-    document = {"machine": machine(), "quick": options.quick, "records": records}
+    document = {"name": "gradient_audit", "machine": harness.machine(), "quick": options.quick, "records": records}
     for kind, (values, _) in KINDS.items():
         if (options.only and kind not in options.only) or (options.quick and kind not in QUICK):
             continue
-        jax.clear_caches()  # hundreds of programs would meet the system's limit of memory maps
+        jax.clear_caches()  # hundreds of programs would reach the limit of memory maps
         for name in QUICK[kind] if options.quick else pairs(kind, values):
             row = audit(kind, name, timed=not options.quick)
             records.append(row)
             cost = f", gradient {row['cost']:.1f} values" if "cost" in row else ""
             say = f"{kind:28} {name:22} {row['derivative']:+.9e}  differs {row['relative_difference']:.1e}"
-            print(f"{say} (doubt {row['relative_doubt']:.0e}){cost}", file=sys.stderr, flush=True)
-            write(document, options.json, partial=True)
-    write(document, options.json)
+            harness.say(f"{say} (doubt {row['relative_doubt']:.0e}){cost}")
+            harness.write(document, options.json, partial=True)
     bad = [r for r in records if not r["relative_difference"] < 1e-6 + 3 * r["relative_doubt"]]
-    return 1 if bad else 0
+    return harness.finish(document, options.json, not bad)
 
 
 if __name__ == "__main__":

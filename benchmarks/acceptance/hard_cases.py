@@ -2,24 +2,22 @@
 
 The truth comes from `truth.py` and `contour_truth.py` (extended precision, no code of the package), closed forms, series,
 and reference numbers of other methods. A row is right where the true error is at most ten times the estimate, or the answer
-carries a flag, a result code or an error that names the limit it met.
+carries a flag, a result code or an error that names the limit that it reached.
 
     python -m benchmarks.acceptance.hard_cases [--case NUMBER …] [--table FILE] [--json FILE|-] [--quick]
 """
 
-import argparse
 import dataclasses
 import math
 import pathlib
 import sys
-import time
 from collections.abc import Callable, Iterator
 
 import jax
 import numpy as np
 
 import dielectric_jax as dj
-from benchmarks.harness import machine, write
+from benchmarks import harness
 from benchmarks.truth import contours as contour_truth
 from benchmarks.truth import extended_precision as truth
 from dielectric_jax import Code, SceneError
@@ -61,15 +59,7 @@ class Row:
 
 
 CASES: dict[str, tuple[str, Callable]] = {}
-compiled = {"seconds": 0.0}
-
-
-def _listen(event, seconds, **_):
-    if event == "/jax/core/compile/backend_compile_duration":
-        compiled["seconds"] += seconds
-
-
-jax.monitoring.register_event_duration_secs_listener(_listen)
+compiled = harness.Compilations()
 
 
 def case(number: str, title: str):
@@ -108,20 +98,20 @@ class Answer:
 
 def ask(function: Callable, *args, **options) -> Answer:
     """The answer of a call; only refusals in words are caught."""
-    begin, before = time.perf_counter(), compiled["seconds"]
+    watch, before = harness.Stopwatch(), compiled.seconds
     value = error = None
     try:
-        value = function(*args, **options)
+        value = watch.time(function, *args, **options)
     except (SceneError, ValueError) as refusal:
         error = refusal
-    return Answer(value, error, time.perf_counter() - begin, compiled["seconds"] - before)
+    return Answer(value, error, watch.seconds, compiled.seconds - before)
 
 
 def refused(answer: Answer, asked: str, true: str, known: str, expected: str, **more) -> Row:
     """The row of a question that must be refused in words with `expected` in them."""
     meant = answer.error is not None and expected in answer.said
-    told = answer.said if answer.error is not None else repr(answer.value)
-    return answer.row(asked, true, known, told, 0.0 if meant else math.inf, **more)
+    answered = answer.said if answer.error is not None else repr(answer.value)
+    return answer.row(asked, true, known, answered, 0.0 if meant else math.inf, **more)
 
 
 def judge(state, limit: float, rim: float) -> float:
@@ -138,8 +128,8 @@ def state_row(answer: Answer, asked: str, limit: float, rim: float, true: str, k
     state = answer.value[0] if isinstance(answer.value, list) else answer.value
     error = max(judge(state, limit, rim), other)
     flag = ", ".join(state.flags)
-    told = f"p {state.pressure:.10g}, V {state.volume:.10g}, λa {state.apex_stretch:.10g}"
-    return answer.row(asked, true, known, told, error, state.error_estimate, flag)
+    answered = f"p {state.pressure:.10g}, V {state.volume:.10g}, λa {state.apex_stretch:.10g}"
+    return answer.row(asked, true, known, answered, error, state.error_estimate, flag)
 
 
 def branches_row(answer: Answer, asked: str, limit: float, rim: float, count: int, window=(-math.inf, 0.9)) -> Row:
@@ -164,10 +154,10 @@ def branches_row(answer: Answer, asked: str, limit: float, rim: float, count: in
             worst = max(worst, (error[k] / estimate[k], estimate[k], error[k]))
     flags = sorted({f for b in answer.value.branches for f in b.flags if "lost" in f})
     flags += [] if answer.value.complete else ["complete=False"]
-    told = (
+    answered = (
         f"{len(answer.value.branches)} branches; {seen} states compared, {unsharp} flagged or at the truth's own limit"
     )
-    return answer.row(asked, true, known, told, worst[2], worst[1], ", ".join(flags))
+    return answer.row(asked, true, known, answered, worst[2], worst[1], ", ".join(flags))
 
 
 def voltage_volume(loading, membrane=None, **options) -> Answer:
@@ -242,31 +232,35 @@ def near_peak(quick: bool) -> Iterator[Row]:
         if abs(share) >= 1e-10:
             answer = ask(dj.equilibrium, dj.Membrane(), pressure=pressure, all=True)
             near = [s for s in answer.value if s.volume < 200]
-            told = ", ".join(f"V {s.volume:.8g} (index {s.index})" for s in near) or "none there"
+            answered = ", ".join(f"V {s.volume:.8g} (index {s.index})" for s in near) or "none there"
             good = [s.index for s in near] == ([0, 1] if share > 0 else [])
             error = max((judge(s, J, 1.0) for s in near), default=0.0) if good else math.inf
             estimate = max((s.error_estimate for s in near), default=TOLERANCE)
-            yield answer.row(asked, true, known, told, error, estimate)
+            yield answer.row(asked, true, known, answered, error, estimate)
         answer = voltage_volume(dj.ConstantPressure(pressure))
         load = (PEAK_PRESSURE - pressure) / -slope
         events = answer.value.ramp().events
         lost = sorted({f for b in answer.value.branches for f in b.flags if "lost" in f})
         if share > 0:
             true = f"starts at V 2.9634, snaps at q {load:.6g}"
-            met = [e.event for e in events[:2]] == ["start", "snap"] and abs(events[0].state.volume / 2.9634 - 1) < 0.01
-            error = abs(events[1].state.voltage_squared - load) / 1e-3 if met else math.inf
-            told = f"start V {events[0].state.volume:.8g}, {events[1].event} q {events[1].state.voltage_squared:.6g}"
+            expected = [e.event for e in events[:2]] == ["start", "snap"] and abs(
+                events[0].state.volume / 2.9634 - 1
+            ) < 0.01
+            error = abs(events[1].state.voltage_squared - load) / 1e-3 if expected else math.inf
+            answered = (
+                f"start V {events[0].state.volume:.8g}, {events[1].event} q {events[1].state.voltage_squared:.6g}"
+            )
         else:
             true = "starts at V 224.6"
             error = 0.0 if abs(events[0].state.volume / 224.576 - 1) < 1e-3 else math.inf
-            told = f"start V {events[0].state.volume:.8g}"
+            answered = f"start V {events[0].state.volume:.8g}"
         by = known + ", ∂p/∂q by differences"
-        yield answer.row(asked + ", ramp", true, by, told, error, TOLERANCE, ", ".join(lost))
+        yield answer.row(asked + ", ramp", true, by, answered, error, TOLERANCE, ", ".join(lost))
     answer = ask(dj.diagram.pressure_ramps, surface_of(), PEAK_PRESSURE * (1 - 1e-10))
     flag = "unresolved" if answer.value.outcome == Outcome.unresolved else ""
-    told = Outcome(int(answer.value.outcome)).name
+    answered = Outcome(int(answer.value.outcome)).name
     asked = "Φ = 0, p = p_peak(1 − 1e-10), ramp"
-    yield answer.row(asked, "starts at V 2.9634", known, told, math.inf, TOLERANCE, flag, engine="surface")
+    yield answer.row(asked, "starts at V 2.9634", known, answered, math.inf, TOLERANCE, flag, engine="surface")
 
 
 def _start_at_fold(volume: float) -> float:
@@ -307,8 +301,8 @@ def filling_at_peak(quick: bool) -> Iterator[Row]:
                 good = good and up.events[1].state.voltage_squared < max(share**2, 1e-12) * 10
             else:
                 good = up.area_strain_reason == "start_unstable"
-            told = f"{ramp_of(answer.value)} ({up.area_strain_reason})"
-            yield answer.row(asked, true, known, told, 0.0 if good else math.inf, TOLERANCE, ", ".join(lost))
+            answered = f"{ramp_of(answer.value)} ({up.area_strain_reason})"
+            yield answer.row(asked, true, known, answered, 0.0 if good else math.inf, TOLERANCE, ", ".join(lost))
             ramps = ask(dj.diagram.chamber_ramps, surface_of(), volume, critical * (1 - share))
             outcome = Outcome(int(ramps.value.outcome))
             flag = "unresolved" if outcome is Outcome.unresolved else ""
@@ -328,9 +322,9 @@ def fold_row(answer: Answer, asked: str, fold, gas, true_at: float, half: float)
         return answer.row(asked, "no fold there", known, f"q {fold.voltage_squared:.10g}", math.inf)
     place, load = min(places, key=lambda f: abs(f[0] - true_at))
     error = abs(fold.voltage_squared - load) / max(abs(load), 1e-3)
-    told = f"q {fold.voltage_squared:.12g}, λa {fold.apex_stretch:.8g}"
+    answered = f"q {fold.voltage_squared:.12g}, λa {fold.apex_stretch:.8g}"
     true = f"q {load:.12g}, λa {place:.8g}"
-    return answer.row(asked, true, known, told, error, fold.error_estimate, ", ".join(fold.flags))
+    return answer.row(asked, true, known, answered, error, fold.error_estimate, ", ".join(fold.flags))
 
 
 @case("4", "tiny and huge chambers")
@@ -349,19 +343,19 @@ def extreme_chambers(quick: bool) -> Iterator[Row]:
         snap = float(ramps.value.snap.voltage[0])
         load = fold.voltage_squared if row.right else math.nan
         error = math.inf if unresolved else abs(snap**2 - load) / load
-        told = Outcome(int(ramps.value.outcome)).name + ("" if unresolved else f", snaps at q {snap**2:.12g}")
+        answered = Outcome(int(ramps.value.outcome)).name + ("" if unresolved else f", snaps at q {snap**2:.12g}")
         flag = "unresolved" if unresolved else ""
-        yield ramps.row(row.asked, row.true, row.known, told, error, TOLERANCE, flag, engine="surface")
+        yield ramps.row(row.asked, row.true, row.known, answered, error, TOLERANCE, flag, engine="surface")
         yield branches_row(answer, f"V_C = {volume:g}: branches", J, 1.0, 8 if quick else 16)
         if volume > 1:
             # constant pressure is the limit: dq/d(1/V_C) is finite
             held = voltage_volume(dj.ConstantPressure(START_PRESSURE))
             other = held.value.ramp()["snap"][0].state.voltage_squared
-            told = f"differs by {abs(fold.voltage_squared - other):.2g} in q"
+            answered = f"differs by {abs(fold.voltage_squared - other):.2g} in q"
             far = abs(fold.voltage_squared - other) > 4.0 / volume
             asked = f"V_C = {volume:g} beside constant pressure"
             known = "the gas: p − p_0 = −(p_0 + 50)(V − V_0)/V_C"
-            yield held.row(asked, "differs by less than 4/V_C in q", known, told, math.inf if far else 0.0)
+            yield held.row(asked, "differs by less than 4/V_C in q", known, answered, math.inf if far else 0.0)
 
 
 @case("5", "limiting stretch from 1 to 10⁶, and none")
@@ -385,9 +379,9 @@ def limiting_stretch(quick: bool) -> Iterator[Row]:
             flag = "" if answer.value.complete else "complete=False"
             error = abs(low[0].pressure / peak - 1) if low else math.inf
             estimate = low[0].error_estimate if low else TOLERANCE
-            told = f"p {low[0].pressure:.12g}" if low else "none"
+            answered = f"p {low[0].pressure:.12g}" if low else "none"
             known = "Chebyshev interpolation in extended precision"
-            yield answer.row(f"{name}: peak", f"p {peak:.12g}", known, told, error, estimate, flag)
+            yield answer.row(f"{name}: peak", f"p {peak:.12g}", known, answered, error, estimate, flag)
         else:
             grid = np.linspace(1.01, truth.lock_up(limit), 300)
             turns = int((np.diff(truth.states(grid, 0.0, limit, 1.0)[0]) < 0).sum())
@@ -439,26 +433,26 @@ def spirals(quick: bool) -> Iterator[Row]:
                 ]
                 error, estimate = max(pairs, key=lambda e: e[0] / e[1], default=(0.0, TOLERANCE))
             asked = f"Φ = {voltage}: folds of p for λa {low:.4g} to {high:.4g}, 1 − t > {cone:g}"
-            told = f"{len(mine)} folds: p " + ", ".join(f"{f.pressure:.9g}" for f in mine[:4])
+            answered = f"{len(mine)} folds: p " + ", ".join(f"{f.pressure:.9g}" for f in mine[:4])
             text = f"{len(true)} folds: p " + ", ".join(f"{f[1]:.9g}" for f in true[:4])
-            yield answer.row(asked, text, known, told, error, estimate, counts={"folds": len(true)})
+            yield answer.row(asked, text, known, answered, error, estimate, counts={"folds": len(true)})
     answer = ask(dj.equilibrium, dj.Membrane(), voltage=0.3, pressure=1.2911981, all=True)
     near = [s for s in answer.value if s.apex_stretch < 3.4652]
     # between the folds of the row above p runs through this value six times up to λa 3.4652, and once at large volume
     good = sorted(s.index for s in near) == [0, 1, 2, 3, 4, 5]
     error = max(judge(s, J, 1.0) for s in near)
     estimate = max(s.error_estimate for s in near)
-    told = f"{len(near)} states, indices {sorted(s.index for s in near)}"
+    answered = f"{len(near)} states, indices {sorted(s.index for s in near)}"
     known = "the folds of p: 1.37915, 1.28749, 1.291344, 1.291192, 1.29119832, 1.29119809"
     asked = "Φ = 0.3, p = 1.2911981, λa < 3.4652: all states"
-    yield answer.row(asked, "6 states, indices 0 to 5", known, told, error if good else math.inf, estimate)
+    yield answer.row(asked, "6 states, indices 0 to 5", known, answered, error if good else math.inf, estimate)
     answer = voltage_volume(chamber(30.0))
     folds = folds_of(answer.value, 1.0, 9.0)[:3]
     error = max(abs(f.voltage / v - 1) for f, v in zip(folds, SPIRAL_30, strict=True))
-    told = "Φ " + ", ".join(f"{f.voltage:.11f}" for f in folds)
+    answered = "Φ " + ", ".join(f"{f.voltage:.11f}" for f in folds)
     known = "reference numbers on which two unrelated methods agree, in place of an estimate their last digit"
     true = "Φ " + ", ".join(map(str, SPIRAL_30))
-    yield answer.row("V_C = 30: first three folds", true, known, told, error, 1e-11)
+    yield answer.row("V_C = 30: first three folds", true, known, answered, error, 1e-11)
 
 
 def _beyond(fold, voltage: float, cone: float) -> bool:
@@ -490,12 +484,12 @@ def negative_loads(quick: bool) -> Iterator[Row]:
         outside = bool(np.isnan(p).all() and np.isinf(bound).all())
         error = 0.0 if outside else float(np.abs(p / true_p - 1).max())
         asked = f"surface at t = {t}"
-        told = "NaN, bound ∞" if outside else f"p {p[1]:.10g} at λa 4"
+        answered = "NaN, bound ∞" if outside else f"p {p[1]:.10g} at λa 4"
         true = "beyond the domain" if t < -0.75 else f"p {float(true_p[1]):.10g} at λa 4"
         estimate = 1e-13 if outside else float(bound.max())
         if outside != (t < -0.75):
             error = math.inf
-        yield answer.row(asked, true, "extended precision", told, error, estimate, engine="surface")
+        yield answer.row(asked, true, "extended precision", answered, error, estimate, engine="surface")
 
 
 @case("9", "prestretch 1 + 10⁻⁶ to 10")
@@ -521,11 +515,11 @@ def prestretches(quick: bool) -> Iterator[Row]:
                 tension = (1 - rim**-6) / (1 - (2 * rim**2 + rim**-4 - 3) / J)
                 volume = math.pi * value * rim**4 / (8 * tension)
                 off = abs(answer.value[0].volume / volume - 1)
-                told = f"V {answer.value[0].volume:.10g}"
+                answered = f"V {answer.value[0].volume:.10g}"
                 known = "a drum: V = π p λ0⁴/(8 σh), the next term p²"
                 estimate = max(answer.value[0].error_estimate, 1e-7)
                 flag = ", ".join(answer.value[0].flags)
-                yield answer.row(asked, f"V {volume:.10g}", known, told, off, estimate, flag)
+                yield answer.row(asked, f"V {volume:.10g}", known, answered, off, estimate, flag)
         if not quick and rim <= 10:
             yield branches_row(ask(dj.pressure_volume, membrane), f"λ0 = {rim:.8g}: p–V curve", J, rim, 16)
 
@@ -543,23 +537,23 @@ def beyond_slack(quick: bool) -> Iterator[Row]:
             yield refused(answer, asked, f"none: slack from Φ = {slack:.8g}", known, Code.no_equilibrium.name)
         else:
             good = answer.error is None and answer.value.volume == 0
-            told = "flat" if good else answer.said
-            yield answer.row(asked, "flat", known, told, 0.0 if good else math.inf)
+            answered = "flat" if good else answer.said
+            yield answer.row(asked, "flat", known, answered, 0.0 if good else math.inf)
     answer = ask(dj.equilibrium, membrane, voltage=0.34, pressure=1e-4)
     yield state_row(answer, "λ0 = 3, Φ = 0.34 (t = 0.984), p = 1e-4", J, rim, "a state", "extended precision")
     for pressure in (1e-8,) if quick else (1e-8, 1e-6, 1e-4):
         answer = ask(dj.equilibrium, membrane, voltage=0.4, pressure=pressure)
         asked = f"λ0 = 3, Φ = 0.4, p = {pressure:g}"
-        told = answer.said if answer.error is not None else repr(answer.value)
+        answered = answer.said if answer.error is not None else repr(answer.value)
         # near the cone of large λa there are states of every small pressure, where the tension of the apex vanishes
         refusal = getattr(answer.error, "code", None)
         good = refusal in (Code.no_equilibrium, Code.beyond_tolerance)
-        yield answer.row(asked, "none near flat", known, told, 0.0 if good else math.inf)
+        yield answer.row(asked, "none near flat", known, answered, 0.0 if good else math.inf)
     diagram = ask(dj.voltage_volume, dj.Scene(membrane, dj.ConstantPressure(0.0)))
     marks = [p.voltage_squared for p in diagram.value.special_points if p.kind == "slack"]
     error = abs(marks[0] / slack**2 - 1) if len(marks) == 1 else math.inf
-    told = f"slack at q {marks[0]:.12g}" if marks else "none"
-    yield diagram.row("λ0 = 3, p = 0: ramp", f"slack at q {slack**2:.12g}", known, told, error, 1e-13)
+    answered = f"slack at q {marks[0]:.12g}" if marks else "none"
+    yield diagram.row("λ0 = 3, p = 0: ramp", f"slack at q {slack**2:.12g}", known, answered, error, 1e-13)
 
 
 def _cusp_prestretch() -> float:
@@ -585,8 +579,8 @@ def cusps(quick: bool) -> Iterator[Row]:
         folds = [p for p in answer.value.special_points if p.kind == "fold"]
         asked = f"λ0 = {critical:.9g} {'−' if shift < 0 else '+'} {abs(shift):.0e}: folds of p at Φ = 0"
         error = 0.0 if len(folds) == (2 if shift < 0 else 0) else math.inf
-        told = ", ".join(f"p {f.pressure:.11g}" for f in folds) or "none"
-        yield answer.row(asked, "two" if shift < 0 else "none", known, told, error)
+        answered = ", ".join(f"p {f.pressure:.11g}" for f in folds) or "none"
+        yield answer.row(asked, "two" if shift < 0 else "none", known, answered, error)
     shifts = np.array([-1e-2, -3e-3, -1e-3, 1e-3, 1e-2])
     around = ((5.3887, 0.1260424**2, 0.1), (3.4497, 0.1167794**2, 0.06))  # λa and q of the cusps, and a reach
     for critical, sign, (middle, load, half) in zip(CUSPS, (1, -1), around, strict=True):
@@ -600,18 +594,18 @@ def cusps(quick: bool) -> Iterator[Row]:
                 lambda a, gas=gas, load=load: contour_truth.loads(gas, a, load, J, 1.0)[0], middle, half, 12
             )[0]
             expected = 1 if slope < 0 else 0
-            told = ramp_of(answer.value)
+            answered = ramp_of(answer.value)
             known = f"the least slope of q(λa), {slope:.2g}, in extended precision"
             true = "snaps" if expected else "no snap"
-            yield answer.row(asked, true, known, told, 0.0 if snaps == expected else math.inf)
+            yield answer.row(asked, true, known, answered, 0.0 if snaps == expected else math.inf)
         ramps = ask(dj.diagram.chamber_ramps, surface_of(), critical + sign * shifts, FILLING)
         lost = ramps.value.outcome == Outcome.unresolved
         wrong = int((~lost & (ramps.value.snaps != (shifts < 0))).sum())
-        told = f"snaps {[('unresolved' if n else int(s)) for n, s in zip(lost, ramps.value.snaps, strict=True)]}"
+        answered = f"snaps {[('unresolved' if n else int(s)) for n, s in zip(lost, ramps.value.snaps, strict=True)]}"
         asked = f"V_C = {critical} + {(sign * shifts).tolist()}"
         known = "the sign of the least slope of q(λa), as in the rows above"
         true = f"snaps {(shifts < 0).astype(int).tolist()}"
-        yield ramps.row(asked, true, known, told, math.inf if wrong else 0.0, engine="surface")
+        yield ramps.row(asked, true, known, answered, math.inf if wrong else 0.0, engine="surface")
 
 
 @case("12", "several loads at one stretch")
@@ -650,8 +644,8 @@ def several_loads(quick: bool) -> Iterator[Row]:
                 error = math.inf
         asked = f"p = 1.2, λa = {apex:g}: loads with t from −0.9 to 0.88"
         true = f"{len(roots)}: q " + ", ".join(f"{q:.8g}" for q, _ in roots)
-        told = f"{len(mine)}: q " + ", ".join(f"{q:.4g}" for q in mine)
-        yield diagram.row(asked, true, "p(t) scanned in extended precision", told, error)
+        answered = f"{len(mine)}: q " + ", ".join(f"{q:.4g}" for q in mine)
+        yield diagram.row(asked, true, "p(t) scanned in extended precision", answered, error)
     answer = ask(dj.diagram.pressure_ramps, surface_of(), pressure)
     events = diagram.value.ramp()
     snap = events["snap"][0].state
@@ -678,25 +672,25 @@ def mixed_batches(quick: bool) -> Iterator[Row]:
             lambda a, b, i=i: bool(np.array_equal(np.asarray(a)[i], b, equal_nan=True)), together.value, alone
         )
         worst = max(worst, 0.0 if all(jax.tree.leaves(same)) else math.inf)
-    told = "bitwise the same" if worst == 0 else "different"
+    answered = "bitwise the same" if worst == 0 else "different"
     asked = "chambers, easy and impossible, together and alone"
     known = "the same call with one lane"
-    yield together.row(asked, "the same numbers", known, told, worst, 1e-13, engine="surface")
+    yield together.row(asked, "the same numbers", known, answered, worst, 1e-13, engine="surface")
     reference = (0.0764953595449, 0.0971990067469)
     error = max(abs(float(together.value.snap.voltage[i, 0]) / v - 1) for i, v in zip((0, 2), reference, strict=True))
-    told = f"Φ {float(together.value.snap.voltage[0, 0]):.12g}, {float(together.value.snap.voltage[2, 0]):.12g}"
+    answered = f"Φ {float(together.value.snap.voltage[0, 0]):.12g}, {float(together.value.snap.voltage[2, 0]):.12g}"
     asked = "snaps of V_C = 1600 and 800 among them"
     known = "spectral elements"
     yield together.row(
-        asked, "Φ " + ", ".join(map(str, reference)), known, told, error, float(together.value.error[[0, 2]].max()),
+        asked, "Φ " + ", ".join(map(str, reference)), known, answered, error, float(together.value.error[[0, 2]].max()),
         engine="surface",
     )  # fmt: skip
     impossible = together.value.outcome[[6, 10]]
     good = bool((impossible == Outcome.unresolved).all())
     asked, true = "fillings beyond lock-up among them", "none"
-    told = ", ".join(Outcome(int(o)).name for o in impossible)
+    answered = ", ".join(Outcome(int(o)).name for o in impossible)
     known = "the volume of lock-up, 455.3"
-    yield together.row(asked, true, known, told, 0.0 if good else math.inf, engine="surface")
+    yield together.row(asked, true, known, answered, 0.0 if good else math.inf, engine="surface")
     pressures = np.array([1.0, PEAK_PRESSURE * (1 - 1e-10), 1.82, 1e-9, 1.5, 50.0, 1e6])
     together = ask(dj.diagram.pressure_ramps, surface, pressures)
     worst = 0.0
@@ -706,9 +700,11 @@ def mixed_batches(quick: bool) -> Iterator[Row]:
             lambda a, b, i=i: bool(np.array_equal(np.asarray(a)[i], b, equal_nan=True)), together.value, alone
         )
         worst = max(worst, 0.0 if all(jax.tree.leaves(same)) else math.inf)
-    told = "bitwise the same" if worst == 0 else "different"
+    answered = "bitwise the same" if worst == 0 else "different"
     asked = "pressures, easy and impossible, together and alone"
-    yield together.row(asked, "the same numbers", "the same call with one lane", told, worst, 1e-13, engine="surface")
+    yield together.row(
+        asked, "the same numbers", "the same call with one lane", answered, worst, 1e-13, engine="surface"
+    )
 
 
 def differences(function: Callable, at: np.ndarray, steps: np.ndarray) -> np.ndarray:
@@ -753,8 +749,8 @@ def second_derivatives(quick: bool) -> Iterator[Row]:
         scale = np.sqrt(np.abs(np.outer(np.diag(true), np.diag(true)))) + 1e-3
         error = float(np.max(np.abs(mine - true) / scale))
         asked = f"∂²(λ2(1) − λa) by λa, p, q at {point}: `jax.hessian` of `shoot` in 64 steps"
-        told, text = (f"∂²/∂λa² {m[0, 0]:.9g}, ∂²/∂λa∂q {m[0, 2]:.9g}" for m in (mine, true))
-        yield answer.row(asked, text, known, told, error, 1e-9)
+        answered, text = (f"∂²/∂λa² {m[0, 0]:.9g}, ∂²/∂λa∂q {m[0, 2]:.9g}" for m in (mine, true))
+        yield answer.row(asked, text, known, answered, error, 1e-9)
     known = "sixth-order central differences in extended precision"
     surface = surface_of()
     for point in ((3.0, 0.004),) if quick else ((3.0, 0.004), (6.0, -0.01), (9.0, 0.005)):
@@ -773,10 +769,10 @@ def second_derivatives(quick: bool) -> Iterator[Row]:
         scale = np.sqrt(np.abs(np.outer(np.diag(true), np.diag(true)))) + 1e-3
         error = float(np.max(np.abs(mine - true) / scale))
         asked = f"∂²p by λa, q at {point}: `jax.hessian` of the surface"
-        told, text = (f"∂²/∂λa² {m[0, 0]:.9g}, ∂²/∂λa∂q {m[0, 1]:.9g}" for m in (mine, true))
+        answered, text = (f"∂²/∂λa² {m[0, 0]:.9g}, ∂²/∂λa∂q {m[0, 1]:.9g}" for m in (mine, true))
         # Markov's inequality: a polynomial of degree n on an element that errs by ε may err by about n⁴ε in its bend
         bound = float(surface.error_bound(*point)) * 16**4 / 4
-        yield answer.row(asked, text, known, told, error, bound, engine="surface")
+        yield answer.row(asked, text, known, answered, error, bound, engine="surface")
 
 
 INTRODUCTION = """# Hard cases
@@ -831,32 +827,29 @@ def record(row: Row) -> dict:
         "seconds_per_diagram": row.seconds,
         "compile_seconds": row.compile_seconds,
         "counts": row.counts,
-        "machine": machine(),
+        "machine": harness.machine(),
     }
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = harness.arguments(__doc__, "fewer rows of each case")
     parser.add_argument("--case", nargs="+", choices=[*CASES], default=[*CASES], help="only these")
     parser.add_argument("--table", metavar="FILE", help="where the rows go as Markdown")
-    parser.add_argument("--json", metavar="FILE", help='"-" is standard output')
-    parser.add_argument("--quick", action="store_true", help="fewer rows of each case")
     options = parser.parse_args()
     dj.enable_compilation_cache()
-    started, rows = time.perf_counter(), []
+    report, rows = harness.Progress(), []
     for number in options.case:
         for row in CASES[number][1](options.quick):
             rows.append(row)
             mark = "right" if row.right else "WRONG"
             error = f"error {row.error:.1e} estimate {row.estimate:.0e} {row.flag}"
-            text = f"[{time.perf_counter() - started:6.1f} s] {mark} {row.case}: {row.asked} ({row.engine}): {row.answered}; {error}"
-            print(text, file=sys.stderr, flush=True)
-    write({"name": "hard_cases", "records": [record(r) for r in rows]}, options.json)
+            text = f"{mark} {row.case}: {row.asked} ({row.engine}): {row.answered}; {error}"
+            report(text)
     if options.table:
         pathlib.Path(options.table).write_text(table(rows), encoding="utf-8")
     wrong = sum(not r.right for r in rows)
-    print(f"{len(rows)} rows, {wrong} wrong without a flag", file=sys.stderr)
-    return 1 if wrong else 0
+    harness.say(f"{len(rows)} rows, {wrong} wrong without a flag")
+    return harness.finish({"name": "hard_cases", "records": [record(r) for r in rows]}, options.json, wrong == 0)
 
 
 if __name__ == "__main__":

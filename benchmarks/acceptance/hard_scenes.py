@@ -8,40 +8,21 @@ at the ends of branches, flags, refusals and diagrams that are not complete are 
     python -m benchmarks.acceptance.hard_scenes [--scenes 100000] [--sample 300] [--membranes 10] [--seed 0] [--json FILE|-] [--quick]
 """
 
-import argparse
 import collections
 import math
 import sys
-import time
 
 import jax
 import numpy as np
 
 import dielectric_jax as dj
-from benchmarks.acceptance.ensemble import ALLOWED, batches, difference, random_loadings
-from benchmarks.harness import machine, write
+from benchmarks import harness
+from benchmarks.acceptance.ensemble import ALLOWED, batches, difference
+from benchmarks.random_scenes import film_loadings, gent_films
 from dielectric_jax import SceneError
 from dielectric_jax.model import Outcome, describe
 
 jax.config.update("jax_enable_x64", True)
-
-compiled = {"seconds": 0.0}
-
-
-def _listen(event, seconds, **_):
-    if event == "/jax/core/compile/backend_compile_duration":
-        compiled["seconds"] += seconds
-
-
-jax.monitoring.register_event_duration_secs_listener(_listen)
-
-
-def draw(count: int, random) -> list:
-    """Random membranes; the first is that of the paper."""
-    drawn = zip(
-        random.uniform(1, 3, count - 1), np.exp(random.uniform(np.log(50), np.log(1000), count - 1)), strict=True
-    )
-    return [dj.Membrane(), *(dj.Membrane(prestretch=w, material=dj.Gent(stretch_limit=j)) for w, j in drawn)]
 
 
 class Continuation:
@@ -53,24 +34,20 @@ class Continuation:
             for name in ("ends", "flags", "refusals", "reasons_resolved", "reasons_unresolved")
         }
         self.differing: list[dict] = []
-        self.worst = self.seconds = 0.0
-        self.compared = self.incomplete = self.drawn = 0
+        self.worst, self.watch = 0.0, harness.Stopwatch()
+        self.compared = self.incomplete = 0
 
     def decide(self, membrane, loading, ramps, i: int) -> None:
         """Draws one diagram and compares it with the surface's ramp where there is one."""
         outcome = Outcome(int(ramps.outcome[i]))
-        begin = time.perf_counter()
         try:
-            diagram = dj.voltage_volume(dj.Scene(membrane, loading))
+            diagram = self.watch.time(dj.voltage_volume, dj.Scene(membrane, loading))
         except (SceneError, ValueError) as refusal:
             code = getattr(getattr(refusal, "code", None), "name", "ValueError")
             self.counts["refusals"][f"{outcome.name}: {code}"] += 1
             if outcome is not Outcome.unresolved:
                 self.note(membrane, loading, outcome, math.inf, [str(refusal)])
             return
-        finally:
-            self.seconds += time.perf_counter() - begin
-            self.drawn += 1
         self.incomplete += not diagram.complete
         for branch in diagram.branches:
             self.counts["ends"].update([branch.start.name, branch.end.name])
@@ -88,89 +65,99 @@ class Continuation:
         scene = describe(dj.Scene(membrane, loading))
         entry = {"scene": scene, "outcome": outcome.name, "difference": apart, "missing": missing}
         self.differing.append(entry)
-        print(entry, file=sys.stderr, flush=True)
+        harness.say(entry)
+
+
+class OnSurface:
+    """What the surfaces say of all scenes, counted."""
+
+    def __init__(self):
+        self.outcomes: collections.Counter = collections.Counter()
+        self.build, self.watch = harness.Stopwatch(), harness.Stopwatch()
+        self.largest_bound, self.half_decided = 0.0, 0
+
+    def ramps(self, membrane, loadings: list) -> list:
+        """(ramps, loadings) of the chambers and of the constant pressures on one membrane."""
+        surface = self.build.time(dj.Surface.build, membrane, cache=False)
+        list(batches(surface, [*loadings[:1], *loadings[-1:]]))  # compiles
+        done = self.watch.time(lambda: list(batches(surface, loadings)))
+        for ramps, _ in done:
+            self.outcomes.update(Outcome(int(o)).name for o in ramps.outcome)
+            decided = ramps.outcome != Outcome.unresolved
+            self.largest_bound = max(self.largest_bound, float(np.max(ramps.error[decided], initial=0.0)))
+            # a scene that is decided has a start, and one that is not has no number at all
+            started = np.isfinite(ramps.start.volume)
+            self.half_decided += int((decided & ~started).sum() + (~decided & np.isfinite(ramps.area_strain)).sum())
+        return done
+
+
+def sample_of(ramps, count: int, random) -> list:
+    """Lanes of ramps: a third of them, as far as there are so many, of those that the surface leaves unresolved."""
+    decided = ramps.outcome != Outcome.unresolved
+    lost, known = np.flatnonzero(~decided), np.flatnonzero(decided)
+    third = min(len(lost), count // 3)
+    return [*random.permutation(known)[: count - third], *random.permutation(lost)[:third]]
+
+
+def records_of(on_surface: OnSurface, continuation: Continuation, compile_seconds: float) -> list[dict]:
+    """The record of the surfaces, and that of the sample."""
+    total, watch = sum(on_surface.outcomes.values()), continuation.watch
+    outcomes = {o.name: on_surface.outcomes[o.name] for o in Outcome}
+    return [
+        {
+            "name": "hard_scenes: ramps",
+            "engine": "surface",
+            "error": on_surface.largest_bound,
+            "seconds_per_diagram": on_surface.watch.seconds / total,
+            "build_seconds": on_surface.build.seconds,
+            "compile_seconds": compile_seconds,
+            "counts": {"scenes": total, **outcomes, "half_decided": on_surface.half_decided},
+            "machine": harness.machine(),
+        },
+        {
+            "name": "hard_scenes: sample",
+            "engine": "continuation",
+            "error": continuation.worst,
+            "seconds_per_diagram": watch.seconds / max(watch.count, 1),
+            "compile_seconds": compile_seconds,
+            "counts": {
+                "diagrams": watch.count,
+                "compared": continuation.compared,
+                "differing": len(continuation.differing),
+                "not_complete": continuation.incomplete,
+                **{name: dict(counter) for name, counter in continuation.counts.items()},
+            },
+            "differing": continuation.differing,
+            "machine": harness.machine(),
+        },
+    ]
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = harness.arguments(__doc__, "64 scenes of one membrane, a sample of 4", seed=True)
     parser.add_argument("--scenes", type=int, default=100_000, help="number of random scenes")
     parser.add_argument("--sample", type=int, default=300, help="scenes that the continuation decides")
     parser.add_argument("--membranes", type=int, default=10)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--json", metavar="FILE", help='"-" is standard output')
-    parser.add_argument("--quick", action="store_true", help="64 scenes of one membrane, a sample of 4")
     options = parser.parse_args()
     scenes, sample, count = (64, 4, 1) if options.quick else (options.scenes, options.sample, options.membranes)
-    print(f"seed {options.seed}, {scenes} scenes, {count} membranes, {sample} by continuation", file=sys.stderr)
+    harness.say(f"seed {options.seed}, {scenes} scenes, {count} membranes, {sample} by continuation")
+    common = {"parameters": {"scenes": scenes, "sample": sample, "membranes": count, "seed": options.seed}}
     random = np.random.default_rng(options.seed)
-    outcomes, continuation = collections.Counter(), Continuation()
-    bounds, seconds, build, nan_numbers = [], 0.0, 0.0, 0
-    for number, membrane in enumerate(draw(count, random)):
-        begin = time.perf_counter()
-        surface = dj.Surface.build(membrane, cache=False)
-        build += time.perf_counter() - begin
-        loadings = random_loadings(membrane, max(1, scenes // count), random)
-        list(batches(surface, [*loadings[:1], *loadings[-1:]]))  # compiles
-        begin = time.perf_counter()
-        done = list(batches(surface, loadings))
-        seconds += time.perf_counter() - begin
-        for ramps, part in done:
-            outcomes.update(Outcome(int(o)).name for o in ramps.outcome)
-            decided = ramps.outcome != Outcome.unresolved
-            bounds.append(float(np.max(ramps.error[decided], initial=0.0)))
-            # a scene that is told has a start, and one that is not has no number at all
-            told = np.isfinite(ramps.start.volume)
-            nan_numbers += int((decided & ~told).sum() + (~decided & np.isfinite(ramps.area_strain)).sum())
+    compiled, on_surface, continuation = harness.Compilations(), OnSurface(), Continuation()
+    document: dict = {"name": "hard_scenes", "records": []}
+    for number, membrane in enumerate(gent_films(random, count)):
+        loadings = film_loadings(random, membrane, max(1, scenes // count))
+        for ramps, part in on_surface.ramps(membrane, loadings):
             share = max(1, round(sample * len(part) / len(loadings) / count))
-            lost = np.flatnonzero(~decided)
-            known = np.flatnonzero(decided)
-            third = min(len(lost), share // 3)
-            some = [*random.permutation(known)[: share - third], *random.permutation(lost)[:third]]
-            for i in some:
+            for i in sample_of(ramps, share, random):
                 continuation.decide(membrane, part[int(i)], ramps, int(i))
-        print(
-            f"membrane {number + 1} of {count}: {dict(outcomes)}, worst {continuation.worst:.1e}",
-            file=sys.stderr,
-            flush=True,
-        )
-        total = sum(outcomes.values())
-        common = {"parameters": {"scenes": scenes, "sample": sample, "membranes": count, "seed": options.seed}}
-        records = [
-            {
-                "name": "hard_scenes: ramps",
-                "engine": "surface",
-                "error": max(bounds),
-                "seconds_per_diagram": seconds / total,
-                "build_seconds": build,
-                "compile_seconds": compiled["seconds"],
-                "counts": {"scenes": total, **{o.name: outcomes[o.name] for o in Outcome}, "half_told": nan_numbers},
-                "machine": machine(),
-            },
-            {
-                "name": "hard_scenes: sample",
-                "engine": "continuation",
-                "error": continuation.worst,
-                "seconds_per_diagram": continuation.seconds / max(continuation.drawn, 1),
-                "compile_seconds": compiled["seconds"],
-                "counts": {
-                    "diagrams": continuation.drawn,
-                    "compared": continuation.compared,
-                    "differing": len(continuation.differing),
-                    "not_complete": continuation.incomplete,
-                    **{name: dict(counter) for name, counter in continuation.counts.items()},
-                },
-                "differing": continuation.differing,
-                "machine": machine(),
-            },
-        ]
-        document = {"name": "hard_scenes", "records": [{**r, **common} for r in records]}
-        write(document, options.json, partial=True)
-    write(document, options.json)
-    for r in records:
-        print(r["name"], r["counts"], f"error {r['error']:.1e}", file=sys.stderr)
-    wrong = bool(continuation.differing) or nan_numbers > 0
-    print("FAILED" if wrong else "PASSED", file=sys.stderr)
-    return 1 if wrong else 0
+        outcomes = dict(on_surface.outcomes)
+        harness.say(f"membrane {number + 1} of {count}: {outcomes}, worst {continuation.worst:.1e}")
+        document["records"] = [r | common for r in records_of(on_surface, continuation, compiled.seconds)]
+        harness.write(document, options.json, partial=True)
+    for r in document["records"]:
+        harness.say(r["name"], r["counts"], f"error {r['error']:.1e}")
+    return harness.finish(document, options.json, not continuation.differing and on_surface.half_decided == 0)
 
 
 if __name__ == "__main__":

@@ -3,49 +3,29 @@
 Every scene has a membrane of its own: Gent (J from 5 to 1000), neo-Hookean, Mooney–Rivlin, Ogden of one to three terms,
 eight-chain, electrostrictive films of these. Each is asked for its curve and its diagram; every few scenes also in other ways:
 batches by continuation, a surface with a glance and ramps on it, sweeps with both engines, critical points and their
-derivatives, cusps, regimes, fold curves, designs, fits. After every block a line tells the process's memory, its memory maps
+derivatives, cusps, regimes, fold curves, designs, fits. After every block a line gives the memory of the process, its memory maps
 (Linux allows 65 530), the programs that are alive, and what was compiled anew.
 
     python -m benchmarks.acceptance.memory [--scenes 1000] [--block 25] [--seed 0] [--ways NAME …] [--json FILE|-] [--quick]
 """
 
-import argparse
 import collections
 import gc
-import math
 import pathlib
 import sys
-import time
 import warnings
 
 import jax
 import numpy as np
 
 import dielectric_jax as dj
-from benchmarks.harness import machine, write
+from benchmarks import harness
+from benchmarks.random_scenes import log_uniform, uniform, wide_scene
 from dielectric_jax import SceneError
 
 jax.config.update("jax_enable_x64", True)
 
 MOST_GIGABYTES, MOST_MAPS = 1.5, 20_000
-COMPILED = "/jax/core/compile/backend_compile_duration"
-compiled: collections.Counter = collections.Counter()
-
-
-def _listen(event, seconds, fun_name="?", **_):
-    if event == COMPILED:
-        compiled[fun_name] += 1
-
-
-jax.monitoring.register_event_duration_secs_listener(_listen)
-
-
-def gigabytes() -> float:
-    """The memory that the process holds now."""
-    for line in pathlib.Path("/proc/self/status").read_text().splitlines():
-        if line.startswith("VmRSS"):
-            return int(line.split()[1]) / 2**20
-    return math.nan
 
 
 def maps() -> int:
@@ -57,75 +37,9 @@ def programs() -> int:
     return len(jax.devices()[0].client.live_executables())
 
 
-def uniform(random, low, high) -> float:
-    return float(random.uniform(low, high))
-
-
-def log_uniform(random, low, high) -> float:
-    return float(np.exp(random.uniform(np.log(low), np.log(high))))
-
-
-def ogden(terms: int):
-    """Terms of both signs, scaled to a small-strain modulus of one."""
-
-    def draw(random):
-        exponents = np.array([uniform(random, 1.2, 2.4), -uniform(random, 1.2, 2.4), uniform(random, 3.0, 5.0)])[:terms]
-        shares = np.array([1.0, *random.uniform(0.01, 0.1, 2)])[:terms]
-        return dj.Ogden(moduli=tuple(2 * shares / shares.sum() / exponents), exponents=tuple(exponents))
-
-    return draw
-
-
-def electrostrictive(random):
-    elastic = (gent, neo_hookean, mooney_rivlin)[int(random.integers(3))](random)
-    return dj.Electrostrictive(elastic, uniform(random, 0, 0.2), uniform(random, -0.01, 0.01))
-
-
-def gent(random):
-    return dj.Gent(stretch_limit=log_uniform(random, 5, 1000))
-
-
-def neo_hookean(random):
-    return dj.NeoHookean()
-
-
-def mooney_rivlin(random):
-    second = log_uniform(random, 1e-4, 0.3)
-    return dj.MooneyRivlin(c1=0.5 - second / 2, c2=second / 2)
-
-
-def eight_chain(random):
-    return dj.ArrudaBoyce(chain_links=log_uniform(random, 5, 500))
-
-
-MATERIALS = (gent, neo_hookean, mooney_rivlin, ogden(1), ogden(2), ogden(3), eight_chain, electrostrictive)
-
-
-def draw_scene(random, material=None) -> dj.Scene:
-    """A chamber in three of four scenes, filled to a volume or a pressure, else a constant pressure."""
-    material = MATERIALS[int(random.integers(len(MATERIALS)))] if material is None else material
-    stretch = 1.0 if random.random() < 0.2 else uniform(random, 1.0, 2.5)
-    law = dj.VHBBreakdown(scale=uniform(random, 0.5, 1.5)) if random.random() < 0.7 else dj.ConstantBreakdown(1.0)
-    elastomer = material(random)
-    largest = float(np.ravel(dj.Membrane(elastomer).lock_up_stretch())[0])
-    film = dj.Membrane(elastomer, min(stretch, 0.9 * largest), law)
-    pressure = uniform(random, 0.2, 1.5)
-    air = {
-        "volume": log_uniform(random, 1, 25000),
-        "atmospheric_pressure": uniform(random, 0, 200),
-        "polytropic_exponent": 1.0 if random.random() < 0.7 else 1.4,
-    }
-    kind = random.random()
-    if kind < 0.25:
-        return dj.Scene(film, dj.ConstantPressure(pressure))
-    if kind < 0.5:
-        return dj.Scene(film, dj.Chamber(initial_pressure=pressure, **air))
-    return dj.Scene(film, dj.Chamber(initial_volume=uniform(random, 0.2, 4), **air))
-
-
 def batch(scene, random):
     """Other scenes beside it, some with its membrane, of any number."""
-    others = [draw_scene(random) for _ in range(int(random.integers(1, 12)))]
+    others = [wide_scene(random) for _ in range(int(random.integers(1, 12)))]
     loadings = [s.loading for s in others]
     dj.continue_scenes([scene, *others, *(dj.Scene(scene.membrane, loading) for loading in loadings)])
 
@@ -251,13 +165,11 @@ def ask(way, scene, random, refused: collections.Counter) -> None:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    quick = "4 scenes of Gent films, curves and diagrams only"
+    parser = harness.arguments(__doc__, quick, seed=True)
     parser.add_argument("--scenes", type=int, default=1000)
     parser.add_argument("--block", type=int, default=25, help="scenes between two lines")
-    parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--ways", nargs="+", choices=list(WAYS), help="only these")
-    parser.add_argument("--json", metavar="FILE", help='"-" is standard output')
-    parser.add_argument("--quick", action="store_true", help="4 scenes of Gent films, curves and diagrams only")
     options = parser.parse_args()
     scenes, block = (4, 2) if options.quick else (options.scenes, options.block)
     ways = {w: WAYS[w] for w in ("curve", "diagram")} if options.quick else WAYS
@@ -265,23 +177,23 @@ def main() -> int:
         ways = {w: WAYS[w] for w in options.ways}
     dj.enable_compilation_cache()
     random = np.random.default_rng(options.seed)
-    print(f"seed {options.seed}, {scenes} scenes", file=sys.stderr)
+    harness.say(f"seed {options.seed}, {scenes} scenes")
+    compiled = harness.Compilations()
     blocks, refused = [], collections.Counter()
     for done in range(0, scenes, block):
-        before, seconds = compiled.copy(), dict.fromkeys(ways, 0.0)
+        before, watches = compiled.functions.copy(), {name: harness.Stopwatch() for name in ways}
         for i in range(done, min(done + block, scenes)):
-            scene = draw_scene(random, gent if options.quick else None)
+            scene = wide_scene(random, "gent" if options.quick else None)
             for name, (every, way) in ways.items():
                 if i % every == 0:
-                    begin = time.perf_counter()
-                    ask(way, scene, random, refused)
-                    seconds[name] += time.perf_counter() - begin
+                    watches[name].time(ask, way, scene, random, refused)
         gc.collect()
         count = min(block, scenes - done)
-        new = compiled - before
-        told = {
+        new = compiled.functions - before
+        seconds = {name: watch.seconds for name, watch in watches.items()}
+        block_record = {
             "scenes": done + count,
-            "gigabytes": gigabytes(),
+            "gigabytes": harness.gigabytes(),
             "maps": maps(),
             "programs": programs(),
             "seconds_per_scene": sum(seconds.values()) / count,
@@ -289,13 +201,11 @@ def main() -> int:
             "compiled": new.total(),
             "most_compiled": dict(new.most_common(12)),
         }
-        blocks.append(told)
-        print(
+        blocks.append(block_record)
+        harness.say(
             "{scenes:5d} scenes {gigabytes:5.2f} GB {maps:6d} maps {programs:5d} programs {seconds_per_scene:6.2f} s a scene,"
-            " {compiled:4d} compiled: ".format(**told)
-            + ", ".join(f"{n} {k}" for k, n in told["most_compiled"].items()),
-            file=sys.stderr,
-            flush=True,
+            " {compiled:4d} compiled: ".format(**block_record)
+            + ", ".join(f"{n} {k}" for k, n in block_record["most_compiled"].items())
         )
     last = blocks[-1]
     good = last["gigabytes"] < MOST_GIGABYTES and last["maps"] < MOST_MAPS
@@ -303,13 +213,11 @@ def main() -> int:
         "name": "memory",
         "parameters": {"scenes": scenes, "seed": options.seed, "ways": list(ways)},
         "blocks": blocks,
-        "compiled": dict(compiled.most_common()),
+        "compiled": dict(compiled.functions.most_common()),
         "refused": dict(refused),
-        "machine": machine(),
+        "machine": harness.machine(),
     }
-    write(record, options.json)
-    print("PASSED" if good else "FAILED", file=sys.stderr)
-    return 0 if good else 1
+    return harness.finish(record, options.json, good)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,6 @@ two that decide nearly every scene, and that cost the most.
                                                [--seed 0] [--json FILE|-] [--quick]
 """
 
-import argparse
 import collections
 import sys
 import time
@@ -24,7 +23,7 @@ import jax
 import numpy as np
 
 import dielectric_jax as dj
-from benchmarks.harness import machine, write
+from benchmarks import harness, random_scenes
 
 jax.config.update("jax_enable_x64", True)
 dj.enable_compilation_cache()
@@ -32,57 +31,6 @@ dj.enable_compilation_cache()
 ALLOWED = 1e-6
 OPEN = "not_decided"
 KINDS = "gent,gent,neo-hookean,mooney-rivlin,ogden,eight-chain,electrostrictive"
-
-
-def random_material(kind: str, random):
-    """A material with a small-strain shear modulus of 1."""
-    share = random.uniform(0.0, 0.3)
-    if kind == "gent":
-        return dj.Gent(float(np.exp(random.uniform(np.log(5), np.log(1000)))))
-    if kind == "neo-hookean":
-        return dj.NeoHookean()
-    if kind == "mooney-rivlin":
-        return dj.MooneyRivlin(float((1 - share / 10) / 2), float(share / 20))
-    if kind == "ogden":
-        # μ = Σ μi αi / 2
-        stiff = random.uniform(3.0, 6.0)
-        return dj.Ogden([float(2 * (1 - share / 30) / 1.8), float(2 * share / 30 / stiff)], [1.8, float(stiff)])
-    if kind == "eight-chain":
-        return dj.ArrudaBoyce(float(np.exp(random.uniform(np.log(5), np.log(200)))))
-    gent = dj.Gent(float(np.exp(random.uniform(np.log(50), np.log(500)))))
-    return dj.Electrostrictive(gent, stretch_coefficient=float(random.uniform(-0.05, 0.0)))
-
-
-def random_membrane(kind: str, random) -> dj.Membrane:
-    """A membrane of prestretch 1 to 4, at most two thirds of the way to lock-up."""
-    material = random_material(kind, random)
-    most = min(4.0, 1 + (dj.Membrane(material).lock_up_stretch()[0] - 1) * 2 / 3)
-    return dj.Membrane(material, prestretch=float(random.uniform(1.0, most)) if random.uniform() < 0.8 else 1.0)
-
-
-def peak(membrane: dj.Membrane) -> tuple[float, float]:
-    """Volume and pressure at the first maximum of the pressure at zero voltage, or half way to lock-up without one."""
-    rim, top = float(membrane.prestretch), membrane.lock_up_stretch()[0]
-    apex = rim + (top - rim) * np.linspace(0.01, 0.99, 256) ** 2
-    p, v, slope = (np.asarray(x) for x in dj.model.explicit_map(membrane.material, apex, 0.0, rim, 64.0))
-    good = np.isfinite(p) & np.isfinite(v) & (slope < 0)
-    p, v = p[good], v[good]
-    falls = np.flatnonzero(np.diff(p) < 0)
-    i = falls[0] if len(falls) else len(p) // 2
-    return float(v[i]), float(p[i])
-
-
-def random_loading(k: int, volume: float, pressure: float, polytropic: bool, random):
-    """The k-th loading: by V_0, every third by p_0, every sixth a constant pressure."""
-    if k % 6 == 5:
-        return dj.ConstantPressure(float(random.uniform(0.1, 1.1) * pressure))
-    filling = {"initial_volume": float(random.uniform(0.1, 1.6) * volume)}
-    if k % 3 == 1:
-        filling = {"initial_pressure": float(random.uniform(0.1, 0.999) * pressure)}
-    outside = 0.0 if random.uniform() < 0.1 else float(np.exp(random.uniform(np.log(0.5), np.log(1000))))
-    size = float(np.exp(random.uniform(np.log(0.02), np.log(25000))))
-    exponent = 1.0 if k % 2 or not polytropic else 1.4
-    return dj.Chamber(size, **filling, atmospheric_pressure=outside, polytropic_exponent=exponent)
 
 
 class Answer(dict):
@@ -170,12 +118,6 @@ def by_designs(scene, columns: dict, surface) -> list[Answer]:
     return [Answer(regime=dj.Regime(int(r)).name) for r in found.regime]
 
 
-def random_scenes(membrane, count: int, polytropic: bool, random) -> list:
-    """Scenes of one membrane."""
-    volume, pressure = peak(membrane)
-    return [dj.Scene(membrane, random_loading(k, volume, pressure, polytropic, random)) for k in range(count)]
-
-
 def by_loading(scenes: list, which) -> list[tuple[list[int], dict]]:
     """Those scenes whose loadings have the same parameters together: their numbers, and the columns of their values."""
     groups = collections.defaultdict(list)
@@ -191,9 +133,9 @@ def asked_in_every_way(scenes: list, whole, spent=None) -> list[dict]:
     answers: list[dict] = [{} for _ in scenes]
 
     def timed(way, ask):
-        begin = time.perf_counter()
-        found = ask()
-        spent[way] += time.perf_counter() - begin
+        watch = harness.Stopwatch()
+        found = watch.time(ask)
+        spent[way] += watch.seconds
         return found
 
     try:
@@ -238,35 +180,30 @@ def disagree(answers: dict) -> bool:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    quick = "60 scenes of six Gent membranes, each by its whole diagram too; no polytropic gas"
+    parser = harness.arguments(__doc__, quick, seed=True)
     parser.add_argument("--scenes", type=int, default=10_000)
     parser.add_argument("--minutes", type=float, default=np.inf, help="ends after so many minutes")
     parser.add_argument("--each", type=int, default=10, help="scenes of a membrane")
     parser.add_argument("--share", type=float, default=0.1, help="of the scenes that are asked in the costly ways too")
     parser.add_argument("--kinds", help=f"materials, separated by commas, by default {KINDS}")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--json", metavar="FILE", help='"-" is standard output')
-    parser.add_argument(
-        "--quick",
-        action="store_true",
-        help="60 scenes of six Gent membranes, each by its whole diagram too; no polytropic gas",
-    )
     options = parser.parse_args()
     if options.quick:
         options.scenes, options.share = 60, 1.0
     random = np.random.default_rng(options.seed)
     kinds = (options.kinds or ("gent" if options.quick else KINDS)).split(",")
-    print(f"seed {options.seed}", file=sys.stderr)
+    harness.say(f"seed {options.seed}")
     spent, undecided = collections.Counter(), collections.Counter()
     asked, differing, regimes = collections.Counter(), [], collections.Counter()
     done, members = 0, 0
     until = time.monotonic() + 60 * options.minutes
     while done < options.scenes and time.monotonic() < until:
-        membrane = random_membrane(kinds[members % len(kinds)], random)
+        membrane = random_scenes.film_of(kinds[members % len(kinds)], random)
         members += 1
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            scenes = random_scenes(membrane, min(options.each, options.scenes - done), not options.quick, random)
+            count = min(options.each, options.scenes - done)
+            scenes = random_scenes.scenes_of(membrane, count, not options.quick, random)
             found = asked_in_every_way(
                 scenes, lambda answers: disagree(answers) or random.uniform() < options.share, spent
             )
@@ -278,11 +215,11 @@ def main() -> int:
             regimes[next((a["regime"] for a in answers.values() if a["regime"] != OPEN), OPEN)] += 1
             if disagree(answers):
                 differing.append({"scene": dj.model.describe(scene), "answers": dict(answers)})
-                print(differing[-1], file=sys.stderr, flush=True)
+                harness.say(differing[-1])
         if options.quick or members % 5 == 0 or done == options.scenes:
             left = {way: round(undecided[way] / asked[way], 4) for way in asked}
-            print(f"{done} scenes, {len(differing)} differ, undecided {left}", file=sys.stderr, flush=True)
-            print({w: round(v, 1) for w, v in spent.items()}, file=sys.stderr, flush=True)
+            harness.say(f"{done} scenes, {len(differing)} differ, undecided {left}")
+            harness.say({w: round(v, 1) for w, v in spent.items()})
     document = {
         "name": "one_answer",
         "parameters": {"scenes": done, "seed": options.seed, "share": options.share},
@@ -291,14 +228,10 @@ def main() -> int:
         "regimes": dict(regimes),
         "differing": differing,
         "milliseconds_per_scene": {w: 1e3 * spent[w] / max(asked.get(w, done), 1) for w in spent},
-        "machine": machine(),
+        "machine": harness.machine(),
     }
-    write(document, options.json)
-    print(
-        f"{'FAILED' if differing else 'PASSED'}: {done} scenes, {len(differing)} with two different answers",
-        file=sys.stderr,
-    )
-    return 1 if differing else 0
+    harness.say(f"{done} scenes, {len(differing)} with two different answers")
+    return harness.finish(document, options.json, not differing)
 
 
 if __name__ == "__main__":

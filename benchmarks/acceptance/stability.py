@@ -7,17 +7,15 @@ with it (`ritz.py`). Where the two differ the Ritz count is taken again on three
     python -m benchmarks.acceptance.stability [--states 10000] [--seed 0] [--first 0] [--json FILE|-] [--quick]
 """
 
-import argparse
 import collections
 import sys
-import time
 
 import jax
 import numpy as np
 
 import dielectric_jax as dj
-from benchmarks.harness import machine, write
-from benchmarks.truth import extended_precision as truth
+from benchmarks import explicit, harness
+from benchmarks.random_scenes import film_states
 from benchmarks.truth.ritz import ELEMENTS, Ritz
 from dielectric_jax.model.stability import judge, survey
 
@@ -25,52 +23,22 @@ jax.config.update("jax_enable_x64", True)
 dj.enable_compilation_cache()
 
 EACH = 20  # states of a membrane
-CROWDS = ("even", "towards the cone", "flat end", "lock-up")
+CROWDS = {"even": 0.55, "towards the cone": 0.25, "flat end": 0.1, "lock-up": 0.1}  # shares of the states
 HELD = ("pressure", "chamber", "volume")
-_UNSURE = 1e-9  # an eigenvalue of the scaled matrix below which its sign is not told
+_UNSURE = 1e-9  # an eigenvalue of the scaled matrix below which its sign is not known
 _DEFECT = 1e-5  # of λ2 at the rim
 _RESOLVED = 1e-9  # change of the pressure from a coarser grid
 
 
-def draw(count: int, seed: int) -> dict:
-    """Random states (count,): `EACH` of each membrane and chamber."""
-    random = np.random.default_rng(seed)
-    membranes = -(-count // EACH)
-    rim = np.repeat(random.uniform(1, 3, membranes), EACH)[:count]
-    limit = np.repeat(np.exp(random.uniform(np.log(50), np.log(1000), membranes)), EACH)[:count]
-    chamber = np.repeat(np.exp(random.uniform(np.log(10), np.log(25000), membranes)), EACH)[:count]
-    scene_batch = random.choice(len(CROWDS), count, p=[0.55, 0.25, 0.1, 0.1])
-    t = random.uniform(-1, 0.9, count)
-    t = np.where(scene_batch == 1, 1 - np.exp(random.uniform(np.log(1e-2), np.log(0.3), count)), t)
-    share = random.uniform(1e-3, 0.97, count)
-    share = np.where(scene_batch == 2, np.exp(random.uniform(np.log(1e-4), np.log(0.1), count)), share)
-    share = np.where(scene_batch == 3, random.uniform(0.9, 0.999, count), share)
-    apex = rim + share * (np.array([truth.lock_up(j) for j in limit]) - rim)
-    return {"prestretch": rim, "stretch_limit": limit, "chamber_volume": chamber, "crowd": scene_batch} | {
-        "apex_stretch": apex,
-        "q": t * truth.largest_load(apex, limit),
-        "t": t,
-    }
-
-
-@jax.jit
-def _map(limit, apex, q, rim, steps):
-    return dj.model.explicit_map(dj.Gent(limit), apex, q, rim, steps)
-
-
 def equilibria(states: dict) -> dict:
     """The states with pressure and volume by the explicit map; NaN where it does not resolve them."""
-    names = ("stretch_limit", "apex_stretch", "q", "prestretch")
-    count, chunk = len(states["q"]), 256
-    out = []
-    for i in range(0, count, chunk):
-        part = [np.pad(states[n][i : i + chunk], (0, max(0, i + chunk - count)), mode="edge") for n in names]
-        coarse, (p, v, slope) = ([np.asarray(w)[: count - i] for w in _map(*part, steps)] for steps in (200.0, 320.0))
-        with np.errstate(all="ignore"):
-            good = (slope < 0) & (p > 0) & np.isfinite(v) & (np.abs(coarse[0] / p - 1) < _RESOLVED)
-        out.append(np.where(good, np.stack([p, v]), np.nan))
-    pressure, volume = np.concatenate(out, axis=1)
-    return states | {"pressure": pressure, "volume": volume}
+    columns = [states[n] for n in ("stretch_limit", "apex_stretch", "q", "prestretch")]
+    coarse, (p, v, slope) = (
+        explicit.in_chunks(lambda *part, n=steps: explicit.of_gent(*part, n), columns, 256) for steps in (200.0, 320.0)
+    )
+    with np.errstate(all="ignore"):
+        good = (slope < 0) & (p > 0) & np.isfinite(v) & (np.abs(coarse[0] / p - 1) < _RESOLVED)
+    return states | {"pressure": np.where(good, p, np.nan), "volume": np.where(good, v, np.nan)}
 
 
 def loadings(chamber: float) -> dict:
@@ -124,78 +92,84 @@ def ritz_of(states: dict, which: np.ndarray, elements: int = ELEMENTS) -> dict:
     return out
 
 
-def main(argv=None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--states", type=int, default=10_000)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--first", type=int, default=0, help="the first state that is judged")
-    parser.add_argument("--json", metavar="FILE|-")
-    parser.add_argument("--quick", action="store_true", help="two membranes")
-    args = parser.parse_args(argv)
-    count = 2 * EACH if args.quick else args.states
-    begin = time.perf_counter()
+class Tally:
+    """The package's answers beside the Ritz counts, counted, and those that differ."""
 
-    def report(text):
-        print(f"[{time.perf_counter() - begin:7.1f} s] {text}", file=sys.stderr, flush=True)
+    NAMES = ("states", "not_resolved", "answers", "not_valid", "valid", "wrinkled", "equal")
+    NAMES += ("equal_on_finer", "ritz_unsure", "wrong")
 
-    states = equilibria(draw(count, args.seed))
-    counts = collections.Counter(states=count - args.first)
-    by_index, reasons = collections.Counter(), collections.Counter()
-    differing = []
-    for start in range(args.first, count, EACH):
-        which = np.arange(start, min(start + EACH, count))
-        reached = np.isfinite(states["pressure"][which])
-        counts["not_resolved"] += int((~reached).sum())
+    def __init__(self, states: dict):
+        self.states = states
+        self.counts, self.by_index, self.reasons = (collections.Counter() for _ in range(3))
+        self.differing: list[dict] = []
+
+    def add(self, which: np.ndarray) -> None:
+        """Judges the states `which` of one membrane."""
+        self.counts["states"] += len(which)
+        reached = np.isfinite(self.states["pressure"][which])
+        self.counts["not_resolved"] += int((~reached).sum())
         which = which[reached]
         if not len(which):
-            continue
-        answers, truths = ours(states, which), ritz_of(states, which)
+            return
+        answers, truths = ours(self.states, which), ritz_of(self.states, which)
         for name, answer in answers.items():
             index, least = truths[name]
             for k, one in enumerate(answer):
-                counts["answers"] += 1
-                reasons.update(one.reasons)
+                self.counts["answers"] += 1
+                self.reasons.update(one.reasons)
                 if not one.valid:
-                    counts["not_valid"] += 1
+                    self.counts["not_valid"] += 1
                     continue
-                counts["valid"] += 1
-                counts["wrinkled"] += one.wrinkled
+                self.counts["valid"] += 1
+                self.counts["wrinkled"] += one.wrinkled
                 if one.index == index[k] and least[k] > _UNSURE:
-                    counts["equal"] += 1
-                    by_index[one.index] += 1
-                    continue
-                i = int(which[k])
-                for factor in (3, 9):  # towards the cone eigenvalues still fall at three times the elements
-                    finer, sharper = (v[0] for v in ritz_of(states, which[k : k + 1], factor * ELEMENTS)[name])
-                    if finer == one.index:
-                        break
-                record = {n: states[n][i] for n in states} | {"held": name[0], "control": name[1], "ours": one.index}
-                record |= {"ritz": index[k], "finer": finer, "eigenvalue": least[k], "finer_eigenvalue": sharper}
-                sure = sharper > _UNSURE
-                verdict = "ritz_unsure" if not sure else "equal_on_finer" if finer == one.index else "wrong"
-                counts[verdict] += 1
-                if verdict == "equal_on_finer":
-                    by_index[one.index] += 1
-                differing.append(record | {"verdict": verdict})
+                    self.counts["equal"] += 1
+                    self.by_index[one.index] += 1
+                else:
+                    self.differ(which[k : k + 1], name, one.index, {"ritz": index[k], "eigenvalue": least[k]})
+
+    def differ(self, which: np.ndarray, name: tuple, index: int, ritz: dict) -> None:
+        """One state again on more elements, under the loading of that name."""
+        finer = sharper = None
+        for factor in (3, 9):  # towards the cone eigenvalues still fall at three times the elements
+            finer, sharper = (v[0] for v in ritz_of(self.states, which, factor * ELEMENTS)[name])
+            if finer == index:
+                break
+        verdict = "ritz_unsure" if not sharper > _UNSURE else "equal_on_finer" if finer == index else "wrong"
+        self.counts[verdict] += 1
+        if verdict == "equal_on_finer":
+            self.by_index[index] += 1
+        record = {n: values[which[0]] for n, values in self.states.items()}
+        record |= {"held": name[0], "control": name[1], "ours": index}
+        self.differing.append(record | ritz | {"finer": finer, "finer_eigenvalue": sharper, "verdict": verdict})
+
+
+def main() -> int:
+    parser = harness.arguments(__doc__, "two membranes", seed=True)
+    parser.add_argument("--states", type=int, default=10_000)
+    parser.add_argument("--first", type=int, default=0, help="the first state that is judged")
+    args = parser.parse_args()
+    count = 2 * EACH if args.quick else args.states
+    report = harness.Progress()
+    tally = Tally(equilibria(film_states(args.seed, count, EACH, CROWDS)))
+    for start in range(args.first, count, EACH):
+        tally.add(np.arange(start, min(start + EACH, count)))
         if start // EACH % 25 == 0:
-            report(f"{start + EACH} of {count} states: {dict(counts)}")
-    names = ("states", "not_resolved", "answers", "not_valid", "valid", "wrinkled", "equal")
-    names += ("equal_on_finer", "ritz_unsure", "wrong")
+            report(f"{start + EACH} of {count} states: {dict(tally.counts)}")
     document = {
-        "benchmark": "stability",
-        "machine": machine(),
+        "name": "stability",
+        "machine": harness.machine(),
         "seed": args.seed,
-        "seconds": time.perf_counter() - begin,
-        "counts": {n: counts[n] for n in names},
-        "index": {str(k): v for k, v in sorted(by_index.items())},
-        "reasons": dict(reasons),
-        "differing": differing,
+        "seconds": report.seconds,
+        "counts": {n: tally.counts[n] for n in Tally.NAMES},
+        "index": {str(k): v for k, v in sorted(tally.by_index.items())},
+        "reasons": dict(tally.reasons),
+        "differing": tally.differing,
     }
-    report(f"{document['counts']}\nindices met: {document['index']}\nnot valid for: {document['reasons']}")
-    for record in [r for r in differing if r["verdict"] == "wrong"][:20]:
+    report(f"{document['counts']}\nindices found: {document['index']}\nwhy not valid: {document['reasons']}")
+    for record in [r for r in tally.differing if r["verdict"] == "wrong"][:20]:
         report(f"wrong: {record}")
-    write(document, args.json)
-    return 0 if counts["wrong"] == 0 and counts["valid"] else 1
+    return harness.finish(document, args.json, tally.counts["wrong"] == 0 and tally.counts["valid"] > 0)
 
 
 if __name__ == "__main__":

@@ -8,15 +8,13 @@ is itself uncertain by more than a tenth of the bound are counted apart. With --
     python -m benchmarks.acceptance.surface_error [--states 100000] [--seed 0] [--family] [--json FILE|-] [--quick]
 """
 
-import argparse
 import sys
-import time
 
 import jax
 import numpy as np
 
 import dielectric_jax as dj
-from benchmarks.harness import machine, write
+from benchmarks import harness
 from benchmarks.truth.extended_precision import exact
 from dielectric_jax.model.materials import largest_load
 
@@ -39,12 +37,13 @@ def surfaces(quick: bool, family: bool, random):
                 material, prestretch=span, cache=False, tolerance=1e-7 if quick else 1e-9
             )
         for rim in rims:
-            begin = time.perf_counter()
-            if family:
-                surface = whole.surface(rim)
-            else:
-                surface = dj.Surface.build(dj.Membrane(material, prestretch=rim), cache=False)
-            yield limit, surface, time.perf_counter() - begin
+            watch = harness.Stopwatch()
+            with watch:
+                if family:
+                    surface = whole.surface(rim)
+                else:
+                    surface = dj.Surface.build(dj.Membrane(material, prestretch=rim), cache=False)
+            yield limit, surface, watch.seconds
 
 
 def draw(surface, count: int, random):
@@ -91,19 +90,16 @@ def judge(limit: float, surface, count: int, random) -> dict:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = harness.arguments(__doc__, "200 states of one membrane", seed=True)
     parser.add_argument("--states", type=int, default=100_000)
-    parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--family", action="store_true", help="surfaces from a family of prestretches")
-    parser.add_argument("--json", metavar="FILE", help='"-" is standard output')
-    parser.add_argument("--quick", action="store_true", help="200 states of one membrane")
     options = parser.parse_args()
     random = np.random.default_rng(options.seed)
     count = 200 if options.quick else -(-options.states // (4 * len(LIMITS)))
     groups = []
     for limit, surface, seconds in surfaces(options.quick, options.family, random):
         groups.append(judge(limit, surface, count, random) | {"build_seconds": seconds})
-        print(groups[-1], file=sys.stderr, flush=True)
+        harness.say(groups[-1])
     document = {
         "name": "surface_error",
         "parameters": {"states": options.states, "seed": options.seed, "family": options.family},
@@ -114,13 +110,10 @@ def main() -> int:
         "above_bound": sum(g["above_bound"] for g in groups),
         "largest_error": max(g["largest_error"] for g in groups),
         "groups": groups,
-        "machine": machine(),
+        "machine": harness.machine(),
     }
-    write(document, options.json)
-    print({k: v for k, v in document.items() if k not in ("groups", "machine")}, file=sys.stderr)
-    good = document["largest_ratio"] <= ALLOWED
-    print("PASSED" if good else "FAILED", file=sys.stderr)
-    return 0 if good else 1
+    harness.say({k: v for k, v in document.items() if k not in ("groups", "machine")})
+    return harness.finish(document, options.json, document["largest_ratio"] <= ALLOWED)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ disturbed; in the end so is the whole store. Runs go on with none, one or two wo
     python -m benchmarks.acceptance.sweep_faults [--kills 50] [--seed 0] [--json FILE|-] [--quick]
 """
 
-import argparse
 import itertools
 import json
 import os
@@ -17,11 +16,10 @@ import signal
 import subprocess
 import sys
 import tempfile
-import time
 
 import numpy as np
 
-from benchmarks.harness import machine, write
+from benchmarks import harness
 
 SPECIFICATION = """
 engine = "surface"
@@ -101,7 +99,7 @@ def lost(found: dict[str, np.ndarray], whole: dict[str, np.ndarray], before: np.
         return [] if before is None or not before.any() else ["the store is gone"]
     done = found["block_done"]
     wrong = [] if before is None or not (before & ~done).any() else ["a finished block is not done any more"]
-    # a done block's scenes have an outcome, and differ nowhere from the undisturbed run; others are not told
+    # a done block's scenes have an outcome, and differ nowhere from the undisturbed run; others are not decided
     scenes = found["outcome"] != -1
     sure = np.zeros_like(scenes)
     grid = [-(-n // c) for n, c in zip(scenes.shape, CHUNK, strict=True)]
@@ -117,67 +115,78 @@ def lost(found: dict[str, np.ndarray], whole: dict[str, np.ndarray], before: np.
 CHUNK = (16, 1)
 
 
-def main() -> int:
-    if sys.argv[1:2] == ["--child"]:
-        return child(sys.argv[2:])
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--kills", type=int, default=50)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--json", metavar="FILE", help='"-" is standard output')
-    parser.add_argument("--quick", action="store_true", help="three kills")
-    options = parser.parse_args()
-    kills = 3 if options.quick else options.kills
-    chance = random.Random(options.seed)
-    records, wrong, finished = [], [], 0
-    with tempfile.TemporaryDirectory() as folder:
-        os.environ.setdefault("DIELECTRIC_JAX_CACHE", f"{folder}/cache")
-        spec = pathlib.Path(folder) / "spec.toml"
-        spec.write_text(SPECIFICATION)
+class Undisturbed:
+    """A store that nobody disturbed: its arrays, the files that were written, and the seconds of its process."""
+
+    def __init__(self, folder: str, spec: pathlib.Path):
         first = start(f"{folder}/first.zarr", spec)
         said = first.communicate()[1]
         if first.returncode:
             raise SystemExit(said)
-        begin = time.perf_counter()
-        start(f"{folder}/whole.zarr", spec).communicate()
-        duration = time.perf_counter() - begin
-        whole = contents(f"{folder}/whole.zarr")
-        writes = sum(path.is_file() for path in pathlib.Path(f"{folder}/whole.zarr").rglob("*"))
-        if not all(same(array, whole[name]) for name, array in contents(f"{folder}/first.zarr").items()):
-            wrong.append("two undisturbed runs differ")
-        store, number = f"{folder}/0.zarr", 0
-        while len(records) < kills or pathlib.Path(store).exists():
-            known = contents(store).get("block_done")
-            workers = chance.choice([[], ["--workers", "1"], ["--workers", "2"]])
-            more = ["--resume", *workers] if known is not None or chance.random() < 0.5 else workers
-            striking = len(records) < kills
-            by_write = chance.random() < 0.5
-            at = chance.randrange(1, writes) if striking and by_write else 0
-            process = start(store, spec, *more, at=at)
-            if striking and not by_write:
-                try:
-                    process.wait(chance.uniform(0.3, 1.0) * duration)
-                except subprocess.TimeoutExpired:
-                    process.kill()
-            said = process.communicate()[1]
-            found = contents(store)
-            wrong += lost(found, whole, known)
-            if process.returncode == -signal.SIGKILL:
-                done = int(found["block_done"].sum()) if found else 0
-                records.append(
-                    {"in_a_write": by_write, "workers": len(workers) and int(workers[1]), "blocks_done": done}
-                )
-                print(f"kill {len(records)}: {records[-1]}", file=sys.stderr, flush=True)
-                continue
-            if process.returncode != 0:
-                wrong.append(f"exit {process.returncode}: {said}")
-            finished += 1
-            for name, array in whole.items():
-                if name not in found or not same(array, found[name]):
-                    wrong.append(f"{name} differs in the end")
-            number += 1
-            store = f"{folder}/{number}.zarr"
-            if wrong:
-                break
+        watch = harness.Stopwatch()
+        with watch:
+            start(f"{folder}/whole.zarr", spec).communicate()
+        self.seconds, self.arrays = watch.seconds, contents(f"{folder}/whole.zarr")
+        self.writes = sum(path.is_file() for path in pathlib.Path(f"{folder}/whole.zarr").rglob("*"))
+        again = contents(f"{folder}/first.zarr")
+        self.repeats = all(same(array, self.arrays[name]) for name, array in again.items())
+
+    def ends_in(self, found: dict[str, np.ndarray]) -> list[str]:
+        """What is wrong with a store that was disturbed and then finished."""
+        differing = [n for n, array in self.arrays.items() if n not in found or not same(array, found[n])]
+        return [f"{name} differs in the end" for name in differing]
+
+
+def disturbed(folder: str, spec: pathlib.Path, undisturbed: Undisturbed, kills: int, chance: random.Random):
+    """Kills processes until `kills` of them died, and lets the last store end: records, what is wrong, stores finished."""
+    records, wrong, finished = [], [], 0
+    store = f"{folder}/0.zarr"
+    while len(records) < kills or pathlib.Path(store).exists():
+        known = contents(store).get("block_done")
+        workers = chance.choice([[], ["--workers", "1"], ["--workers", "2"]])
+        more = ["--resume", *workers] if known is not None or chance.random() < 0.5 else workers
+        striking = len(records) < kills
+        by_write = chance.random() < 0.5
+        at = chance.randrange(1, undisturbed.writes) if striking and by_write else 0
+        process = start(store, spec, *more, at=at)
+        if striking and not by_write:
+            try:
+                process.wait(chance.uniform(0.3, 1.0) * undisturbed.seconds)
+            except subprocess.TimeoutExpired:
+                process.kill()
+        said = process.communicate()[1]
+        found = contents(store)
+        wrong += lost(found, undisturbed.arrays, known)
+        if process.returncode == -signal.SIGKILL:
+            done = int(found["block_done"].sum()) if found else 0
+            records.append({"in_a_write": by_write, "workers": len(workers) and int(workers[1]), "blocks_done": done})
+            harness.say(f"kill {len(records)}: {records[-1]}")
+            continue
+        if process.returncode != 0:
+            wrong.append(f"exit {process.returncode}: {said}")
+        finished += 1
+        wrong += undisturbed.ends_in(found)
+        store = f"{folder}/{finished}.zarr"
+        if wrong:
+            break
+    return records, wrong, finished
+
+
+def main() -> int:
+    if sys.argv[1:2] == ["--child"]:
+        return child(sys.argv[2:])
+    parser = harness.arguments(__doc__, "three kills", seed=True)
+    parser.add_argument("--kills", type=int, default=50)
+    options = parser.parse_args()
+    kills = 3 if options.quick else options.kills
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ.setdefault("DIELECTRIC_JAX_CACHE", f"{folder}/cache")
+        spec = pathlib.Path(folder) / "spec.toml"
+        spec.write_text(SPECIFICATION)
+        undisturbed = Undisturbed(folder, spec)
+        records, wrong, finished = disturbed(folder, spec, undisturbed, kills, random.Random(options.seed))
+    if not undisturbed.repeats:
+        wrong.insert(0, "two undisturbed runs differ")
     document = {
         "name": "sweep_faults",
         "parameters": {"kills": kills, "seed": options.seed},
@@ -185,16 +194,14 @@ def main() -> int:
         "in_a_write": sum(r["in_a_write"] for r in records),
         "with_some_blocks_done": sum(r["blocks_done"] > 0 for r in records),
         "stores_finished": finished,
-        "blocks_of_a_store": len(whole["block_done"]),
-        "seconds_of_an_undisturbed_run": duration,
+        "blocks_of_a_store": len(undisturbed.arrays["block_done"]),
+        "seconds_of_an_undisturbed_run": undisturbed.seconds,
         "wrong": wrong,
         "records": records,
-        "machine": machine(),
+        "machine": harness.machine(),
     }
-    write(document, options.json)
-    print(json.dumps({k: v for k, v in document.items() if k not in ("records", "machine")}), file=sys.stderr)
-    print("FAILED" if wrong else "PASSED", file=sys.stderr)
-    return 1 if wrong else 0
+    harness.say(json.dumps({k: v for k, v in document.items() if k not in ("records", "machine")}))
+    return harness.finish(document, options.json, not wrong)
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 The default membrane (Gent, J = 270, λ0 = 1) filled to V_0 = 2.42 on chambers from V_C = 300 to 25000; of each its
 voltage–volume diagram from the filling at zero voltage to breakdown, with its folds, zero-voltage states, breakdown and
 landing. Errors are against `data/chambers.csv` (see `make_references.py`), good to 1e-12. All in one process run, error beside
-time; what carries over to another machine are ratios. Compiling, building a surface and starting a process are told apart.
+time; what carries over to another machine are ratios. Compiling, building a surface and starting a process are counted apart.
 
 - `continuation`: ours by shooting and pseudo-arclength, at several tolerances: all lanes in one batch, and single diagrams
   (with every branch of the whole window and an independent scan) of some lanes. The best of fifteen rounds of the whole
@@ -20,20 +20,18 @@ time; what carries over to another machine are ratios. Compiling, building a sur
     AUTO_DIR=… python -m benchmarks.speed.batch_diagrams [--json FILE|-] [--quick] [--engines continuation,surface,…]
 """
 
-import argparse
 import dataclasses
 import importlib.util
 import itertools
 import sys
 import tempfile
-import time
 from collections.abc import Callable
 
 import jax
 import numpy as np
 
 import dielectric_jax as dj
-from benchmarks.harness import machine, write
+from benchmarks import harness
 from benchmarks.truth import auto_peer, chambers, scipy_peers
 from benchmarks.truth.chambers import Found
 
@@ -47,33 +45,33 @@ MEMBRANE = dj.Membrane(material=dj.Gent(chambers.STRETCH_LIMIT))
 
 @dataclasses.dataclass
 class Entry:
-    """One row: `run` returns what it found on its lanes, seconds (None: as measured from outside) and counts."""
+    """One row: `run` is timed and returns what it found on its lanes, the seconds that it reports or None, and counts.
+
+    Where that has to be read from what `run` returns, and the reading is not part of the time, `read` does it.
+    """
 
     engine: str
     parameters: dict
     lanes: list[float]
-    run: Callable[[], tuple[dict[float, Found], float | None, dict]]
+    run: Callable
+    read: Callable[[object], tuple[dict[float, Found], float | None, dict]] = lambda value: value
     rounds: int = 3
     more: dict = dataclasses.field(default_factory=dict)
 
 
 def measure(entry: Entry, truth: dict[float, Found]) -> dict:
     """The record of one entry: a first run, which may compile, then warm ones."""
-    seconds = []
-    for _ in range(entry.rounds + 1):
-        begin = time.perf_counter()
-        found, told, counts = entry.run()
-        seconds.append(told if told is not None else time.perf_counter() - begin)
-    warm = min(seconds[1:]) if entry.rounds else seconds[0]
+    timing = harness.timed(entry.run, entry.rounds, reported=lambda value: entry.read(value)[1])
+    found, _, counts = entry.read(timing.value)
     judged = chambers.judge(found, truth)
     return {
         "name": "batch_diagrams",
         "engine": entry.engine,
         "parameters": entry.parameters,
         **judged,
-        "seconds_per_diagram": warm / len(entry.lanes),
-        "median_seconds_per_diagram": float(np.median(seconds[1:] or seconds)) / len(entry.lanes),
-        "compile_seconds": max(0.0, seconds[0] - warm),
+        "seconds_per_diagram": timing.best / len(entry.lanes),
+        "median_seconds_per_diagram": timing.median / len(entry.lanes),
+        "compile_seconds": timing.compile_seconds,
         **entry.more,
         "counts": judged["counts"] | counts,
     }
@@ -172,9 +170,8 @@ def of_ramps(lanes: list[float], ramps: dj.diagram.Ramps) -> dict[float, Found]:
 
 def surface_entries(lanes, quick):
     for tolerance in (1e-7,) if quick else (1e-5, 1e-7, 1e-9):
-        begin = time.perf_counter()
-        surface = dj.Surface.build(MEMBRANE, tolerance=tolerance, cache=quick)
-        build = time.perf_counter() - begin
+        build = harness.Stopwatch()
+        surface = build.time(dj.Surface.build, MEMBRANE, tolerance=tolerance, cache=quick)
 
         def run(surface=surface):
             ramps = dj.diagram.chamber_ramps(surface, lanes, chambers.INITIAL_VOLUME)
@@ -184,9 +181,10 @@ def surface_entries(lanes, quick):
             "surface",
             {"tolerance": tolerance},
             lanes,
-            Timed(run, lambda told: (of_ramps(lanes, told[0]), {"unresolved": told[1]})),
+            run,
+            lambda found: (of_ramps(lanes, found[0]), None, {"unresolved": found[1]}),
             rounds=5,
-            more={"build_seconds": build},
+            more={"build_seconds": build.seconds},
         )
     if not quick:
         yield Entry(
@@ -194,32 +192,19 @@ def surface_entries(lanes, quick):
             {"tolerance": tolerance, "unresolved": "by voltage_volume"},
             lanes,
             lambda: resolved(surface, lanes),
+            lambda found: (
+                of_ramps(lanes, found[0]) | found[1],
+                None,
+                {"unresolved": 0, "by_voltage_volume": len(found[1])},
+            ),
         )
 
 
 def resolved(surface, lanes):
     """The ramps, and diagrams on the surface, certified by shooting, of the lanes that they leave unresolved."""
-    begin = time.perf_counter()
     ramps = dj.diagram.chamber_ramps(surface, lanes, chambers.INITIAL_VOLUME)
     rest = [c for c, outcome in zip(lanes, ramps.outcome, strict=True) if outcome == dj.model.Outcome.unresolved]
-    found = one_by_one(rest, 1e-9, surface=surface)
-    seconds = time.perf_counter() - begin
-    return of_ramps(lanes, ramps) | found, seconds, {"unresolved": 0, "by_voltage_volume": len(rest)}
-
-
-@dataclasses.dataclass
-class Timed:
-    """Times `run` alone; `read` turns what it returns into `Found`s and counts."""
-
-    timed: Callable
-    read: Callable
-
-    def __call__(self):
-        begin = time.perf_counter()
-        told = self.timed()
-        seconds = time.perf_counter() - begin
-        found, counts = self.read(told)
-        return found, seconds, counts
+    return ramps, one_by_one(rest, 1e-9, surface=surface)
 
 
 def scipy_entries(solver, settings, lanes, count):
@@ -229,7 +214,6 @@ def scipy_entries(solver, settings, lanes, count):
 
         def run(tolerance=tolerance, natural=natural):
             found, points, solves, failed = {}, 0, 0, 0
-            begin = time.perf_counter()
             for chamber in some:
                 try:
                     found[chamber], work = scipy_peers.diagram(solver(scipy_peers.Gas(chamber), tolerance), natural)
@@ -238,7 +222,7 @@ def scipy_entries(solver, settings, lanes, count):
                     found[chamber] = Found([], [], chambers.NAN, chambers.NAN)
                     failed += 1
             counts = {"points": points, "solves": solves, "failed": failed}
-            return found, time.perf_counter() - begin, counts
+            return found, None, counts
 
         name = {scipy_peers.Shooting: "scipy_shooting", scipy_peers.Collocation: "scipy_solve_bvp"}[solver]
         parameters = {"tolerance": tolerance, "stepping": "natural" if natural else "arclength"}
@@ -325,7 +309,7 @@ def screened(folder, lanes, truth) -> list[tuple]:
 def auto_settings(folder, lanes, truth) -> list[tuple]:
     """The quickest setting that is right on all lanes, for each bound of the error."""
     candidates, chosen = screened(folder, lanes, truth), []
-    print(f"AUTO-07p: {len(candidates)} settings were right on some lanes", file=sys.stderr)
+    harness.say(f"AUTO-07p: {len(candidates)} settings were right on some lanes")
     for bound in BOUNDS:
         able = [row[2] for row in candidates if is_right(row[1], bound)][:_FINALISTS]
         timed = []
@@ -355,8 +339,8 @@ def auto_entries(lanes, quick, truth, folder):
 
 
 def label(record: dict) -> str:
-    told = [f"{k} {v:g}" if isinstance(v, float) else f"{k} {v}" for k, v in record["parameters"].items()]
-    return f"{record['engine']}: {', '.join(told)}"
+    parameters = [f"{k} {v:g}" if isinstance(v, float) else f"{k} {v}" for k, v in record["parameters"].items()]
+    return f"{record['engine']}: {', '.join(parameters)}"
 
 
 def print_record(record: dict) -> None:
@@ -365,12 +349,10 @@ def print_record(record: dict) -> None:
     def small(value):
         return f"{value:9.1e}" if value is not None else f"{'–':>9}"
 
-    print(
+    harness.say(
         f"{label(record)[:88]:90}{counts['lanes']:5}{record['seconds_per_diagram'] * 1e3:11.3f}"
         f"{small(record['error'])}{small(record['breakdown_error'])}{small(record['landing_error'])}"
-        f"{counts['missing_folds']:5}{counts['false_folds']:5}{counts['wrong_lanes']:5}{record['compile_seconds']:9.1f}",
-        file=sys.stderr,
-        flush=True,
+        f"{counts['missing_folds']:5}{counts['false_folds']:5}{counts['wrong_lanes']:5}{record['compile_seconds']:9.1f}"
     )
 
 
@@ -392,9 +374,7 @@ def entries_of(engine: str, lanes, quick: bool, truth, folder: str):
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", metavar="FILE", help='"-" is standard output')
-    parser.add_argument("--quick", action="store_true", help="four chambers, one setting an engine")
+    parser = harness.arguments(__doc__, "four chambers, one setting an engine")
     parser.add_argument("--engines", default=",".join(ENGINES), help="some of %(default)s")
     options = parser.parse_args()
     engines = options.engines.split(",")
@@ -404,16 +384,21 @@ def main() -> int:
         dj.enable_compilation_cache()
     truth = chambers.reference()
     lanes = chambers.spread(list(truth), 4) if options.quick else list(truth)
-    document = {"name": "batch_diagrams", "missing": [], "compared_with": None, "records": [], "machine": machine()}
-    print(
-        f"{'':90}{'lanes':>5}{'ms/diagram':>11}{'fold':>9}{'break':>9}{'landing':>9}{'miss':>5}{'false':>5}{'wrong':>5}{'compile':>9}",
-        file=sys.stderr,
+    document = {
+        "name": "batch_diagrams",
+        "missing": [],
+        "compared_with": None,
+        "records": [],
+        "machine": harness.machine(),
+    }
+    harness.say(
+        f"{'':90}{'lanes':>5}{'ms/diagram':>11}{'fold':>9}{'break':>9}{'landing':>9}{'miss':>5}{'false':>5}{'wrong':>5}{'compile':>9}"
     )
     with tempfile.TemporaryDirectory() as folder:
         for engine in engines:
             entries = entries_of(engine, lanes, options.quick, truth, folder)
             if isinstance(entries, str):
-                print(entries, file=sys.stderr)
+                harness.say(entries)
                 document["missing"].append(entries)
                 continue
             for entry in entries:
@@ -421,18 +406,16 @@ def main() -> int:
                 record["machine"] = document["machine"]
                 document["records"].append(record)
                 print_record(record)
-                write(document, options.json, partial=True)
+                harness.write(document, options.json, partial=True)
     best = best_of_auto(document["records"])
     for record in document["records"]:
         record["auto_over_this"] = best["seconds_per_diagram"] / record["seconds_per_diagram"] if best else None
     document["compared_with"] = label(best) if best else None
-    write(document, options.json)
     for record in sorted(document["records"], key=lambda r: r["seconds_per_diagram"]) if best else ():
-        print(f"AUTO-07p over this {record['auto_over_this']:10.3g}  {label(record)}", file=sys.stderr)
+        harness.say(f"AUTO-07p over this {record['auto_over_this']:10.3g}  {label(record)}")
     ours = [r for r in document["records"] if r["engine"] in ("continuation", "surface")]
     good = all(r["counts"]["false_folds"] == 0 and r["error"] < 1e-6 for r in ours)
-    print("PASSED" if good else "FAILED", file=sys.stderr)
-    return 0 if good else 1
+    return harness.finish(document, options.json, good)
 
 
 def best_of_auto(records: list[dict]) -> dict | None:

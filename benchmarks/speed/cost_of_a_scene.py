@@ -11,19 +11,16 @@ control that of its breakdown.
     python -m benchmarks.speed.cost_of_a_scene [--json FILE|-] [--quick]
 """
 
-import argparse
 import functools
 import sys
-import time
 
 import jax
 import numpy as np
 
 import dielectric_jax as dj
-from benchmarks.harness import machine, write
-from benchmarks.speed import curves
-from benchmarks.speed.first_diagram import BREAKDOWN, FOLD, calibrate
-from benchmarks.speed.shots import MATERIAL, States, seconds_of
+from benchmarks import harness
+from benchmarks.speed import curves, one_chamber
+from benchmarks.speed.shots import MATERIAL, SHORTEST, States
 from benchmarks.truth import extended_precision as truth
 from benchmarks.truth.chambers import INITIAL_VOLUME, STRETCH_LIMIT
 from dielectric_jax.model.programs import jacobian_program, value_program
@@ -88,12 +85,14 @@ def integration(quick: bool) -> list[dict]:
         "+ profile along the membrane": shot(outputs=True, trail="profile", heights=True),
         "+ breakdown and hoop tension": lambda lanes, steps: value_program(MEMBRANE, lanes, steps),
     }
+    runs = {name: lambda p=program: p(lanes, STEPS) for name, program in programs.items()}
+    timings = harness.timed_in_turn(runs, 1 if quick else 100, shortest=SHORTEST)
     out = []
-    for name, program in programs.items():
-        found = program(lanes, STEPS)
-        error = None if name == "no voltage" else states.shot_error(np.asarray(found[0]), np.asarray(found[1]))
-        best, first = seconds_of(lambda p=program: jax.block_until_ready(p(lanes, STEPS)), 1 if quick else 100)
-        out.append(record("integration", name, best / states.count, error, compile_seconds=first))
+    for name, timing in timings.items():
+        of_rim, volume = (np.asarray(w) for w in timing.value[:2])
+        error = None if name == "no voltage" else states.shot_error(of_rim, volume)
+        row = record("integration", name, timing.best / states.count, error, compile_seconds=timing.compile_seconds)
+        out.append(row)
     return out
 
 
@@ -124,20 +123,16 @@ def equilibria(quick: bool) -> list[dict]:
         "pressure given, voltage, all states": lambda: call(voltage=0.05, pressure=1.5, all=True)()[0],
     }
     some = list(calls)[1:4:2] if quick else list(calls)
-    return [timed("equilibrium", name, calls[name], state_error, 1 if quick else 7) for name in some]
+    return records_of("equilibrium", {name: (calls[name], state_error) for name in some}, 1 if quick else 7)
 
 
-def timed(table: str, name: str, run, error, rounds: int) -> dict:
-    """The record of a call, warm, with the error of what it returns."""
-    begin = time.perf_counter()
-    found = run()
-    first = time.perf_counter() - begin
-    best = float("inf")
-    for _ in range(rounds):
-        begin = time.perf_counter()
-        found = run()
-        best = min(best, time.perf_counter() - begin)
-    return record(table, name, best, error(found), compile_seconds=max(0.0, first - best))
+def records_of(table: str, calls: dict, rounds: int) -> list[dict]:
+    """The records of calls, warm and turn by turn, each with the error of what it returns."""
+    timings = harness.timed_in_turn({name: run for name, (run, _) in calls.items()}, rounds)
+    return [
+        record(table, name, timing.best, calls[name][1](timing.value), compile_seconds=timing.compile_seconds)
+        for name, timing in timings.items()
+    ]
 
 
 def pressure_error(true):
@@ -149,22 +144,21 @@ def pressure_error(true):
 
 
 def snap_error(true):
-    return lambda diagram: abs(diagram.ramp()["snap"][0].state.voltage - true)
+    def error(found):
+        return abs(next(e.state.voltage for e in found.events if (e.event, e.direction) == ("snap", "up")) - true)
+
+    return error
 
 
 def breakdown_error(diagram):
-    return min(abs(p.voltage - BREAKDOWN) for p in diagram.special_points if p.kind == "breakdown")
-
-
-def glance_error(seen):
-    return abs(next(e.state.voltage for e in seen.events if e.event == "snap") - FOLD)
+    return min(abs(p.voltage - one_chamber.BREAKDOWN) for p in diagram.special_points if p.kind == "breakdown")
 
 
 def diagrams(quick: bool) -> list[dict]:
-    chamber = dj.Scene(MEMBRANE, dj.Chamber(volume=1600.0, initial_volume=INITIAL_VOLUME))
+    chamber = one_chamber.scene()
     charged = dj.Scene(MEMBRANE, dj.ChargeControl(chamber.loading))
     held = dj.Scene(MEMBRANE, dj.ConstantPressure(SNAP_AT_PRESSURE[0]))
-    surface = None if quick else dj.Surface.build(MEMBRANE)
+    ours = one_chamber.engines(None if quick else dj.Surface.build(MEMBRANE))
 
     def with_profiles():
         found = dj.voltage_volume(chamber)
@@ -173,26 +167,23 @@ def diagrams(quick: bool) -> list[dict]:
         return found
 
     at_voltage = pressure_error(curves.reference())
-    at_pressure, at_chamber = snap_error(SNAP_AT_PRESSURE[1]), snap_error(FOLD)
+    at_pressure, at_chamber = snap_error(SNAP_AT_PRESSURE[1]), snap_error(one_chamber.FOLD)
     calls = {
         "no voltage: p–V": (lambda: dj.pressure_volume(MEMBRANE), pressure_error(PRESSURE_FOLDS)),
         "voltage: p–V": (lambda: dj.pressure_volume(MEMBRANE, curves.VOLTAGE), at_voltage),
         "pressure given: Φ–V": (lambda: dj.voltage_volume(held), at_pressure),
-        "chamber: Φ–V": (lambda: dj.voltage_volume(chamber), at_chamber),
+        "chamber: Φ–V": (ours["continuation"], at_chamber),
         "chamber, charge controlled": (lambda: dj.voltage_volume(charged), breakdown_error),
         "chamber, tolerance 1e-6": (lambda: dj.voltage_volume(chamber, tolerance=1e-6), at_chamber),
         "chamber, tolerance 1e-12": (lambda: dj.voltage_volume(chamber, tolerance=1e-12), at_chamber),
         "chamber, profiles at special points": (with_profiles, at_chamber),
         "chamber, way down as well": (lambda: _with_way_down(dj.voltage_volume(chamber)), at_chamber),
-        "chamber on a surface, certified": (lambda: dj.voltage_volume(chamber, surface=surface), at_chamber),
-        "chamber at a glance": (lambda: dj.glance(chamber, surface), glance_error),
-        "chamber on a surface alone": (
-            lambda: dj.voltage_volume(chamber, surface=surface, certify=False, extend=False),
-            at_chamber,
-        ),
+        "chamber on a surface, certified": (ours["surface, certified"], at_chamber),
+        "chamber at a glance": (ours["glance"], at_chamber),
+        "chamber on a surface alone": (ours["surface alone"], at_chamber),
     }
     some = ["no voltage: p–V", "chamber: Φ–V"] if quick else list(calls)
-    return [timed("diagram", name, *calls[name], 1 if quick else 5) for name in some]
+    return records_of("diagram", {name: calls[name] for name in some}, 1 if quick else 5)
 
 
 def _with_way_down(diagram):
@@ -201,30 +192,25 @@ def _with_way_down(diagram):
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", metavar="FILE", help='"-" is standard output')
-    parser.add_argument("--quick", action="store_true", help="8 states, two scenes a table")
+    parser = harness.arguments(__doc__, "8 states, two scenes a table")
     options = parser.parse_args()
     if options.quick:
         dj.enable_compilation_cache()
-    document = {"name": "cost_of_a_scene", "records": [], "machine": machine()}
-    out = sys.stderr
+    document = {"name": "cost_of_a_scene", "records": [], "machine": harness.machine()}
     for table in (integration, equilibria, diagrams):
         records = table(options.quick)
         base = records[0]["seconds"]
         unit, factor = ("µs a state", 1e6) if table is integration else ("ms", 1e3)
-        print(f"\n{table.__name__:44}{unit:>12}{'ratio':>9}{'error':>10}", file=out)
+        harness.say(f"\n{table.__name__:44}{unit:>12}{'ratio':>9}{'error':>10}")
         for r in records:
             r["ratio"] = r["seconds"] / base
             error = f"{r['error']:.1e}" if r["error"] is not None else "–"
-            print(f"{r['scene']:44}{r['seconds'] * factor:12.4g}{r['ratio']:9.2f}{error:>10}", file=out, flush=True)
+            harness.say(f"{r['scene']:44}{r['seconds'] * factor:12.4g}{r['ratio']:9.2f}{error:>10}")
         document["records"] += records
-        write(document, options.json, partial=True)
-    document["calibration_seconds"] = calibrate()
-    write(document, options.json)
+        harness.write(document, options.json, partial=True)
+    document["calibration_seconds"] = harness.calibrate()
     good = all(r["error"] is None or r["error"] < 1e-9 for r in document["records"])
-    print("\nPASSED" if good else "\nFAILED", file=out)
-    return 0 if good else 1
+    return harness.finish(document, options.json, good)
 
 
 if __name__ == "__main__":

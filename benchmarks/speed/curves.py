@@ -9,13 +9,12 @@ pressures against `data/pressure_volume.csv`.
 import csv
 import functools
 import itertools
-import sys
 import tempfile
-import time
 
 import numpy as np
 
 import dielectric_jax as dj
+from benchmarks import harness
 from benchmarks.truth import auto_peer, chambers, scipy_peers
 
 VOLTAGE, VOLUME = 0.05, 450.0
@@ -35,19 +34,15 @@ def error_of(folds: list[float]) -> float:
 
 def timed(engine: str, parameters: dict, run, rounds: int) -> dict:
     """The record of `run`, which returns pressures of folds, its own seconds or None, and counts."""
-    seconds = []
-    for _ in range(rounds + 1):
-        begin = time.perf_counter()
-        folds, told, counts = run()
-        seconds.append(told if told is not None else time.perf_counter() - begin)
-    best = min(seconds[1:])
+    timing = harness.timed(run, rounds, reported=lambda found: found[1])
+    folds, _, counts = timing.value
     return {
         "name": "pressure_volume",
         "engine": engine,
         "parameters": parameters,
         "error": error_of(folds),
-        "seconds": best,
-        "compile_seconds": max(0.0, seconds[0] - best),
+        "seconds": timing.best,
+        "compile_seconds": timing.compile_seconds,
         "counts": counts | {"folds": len(folds)},
     }
 
@@ -76,13 +71,12 @@ def records(quick: bool) -> list[dict]:
     ]
     for tolerance in (1e-9,) if quick else (1e-5, 1e-7, 1e-9):
         surface = dj.Surface.build(membrane, tolerance=tolerance)
-        told = {"tolerance": tolerance}
         for certify in () if quick else (True, False):
             engine = f"dielectric_jax, surface {'certified' if certify else 'alone'}"
             options = {"surface": surface, "certify": certify, "extend": certify, "tolerance": max(tolerance, 1e-9)}
-            out.append(ours(engine, told, rounds, diagram(**options)))
+            out.append(ours(engine, {"tolerance": tolerance}, rounds, diagram(**options)))
         look = functools.partial(dj.glance, scene, surface)
-        out.append(ours("dielectric_jax, glance at a surface", told, 4 * rounds, look))
+        out.append(ours("dielectric_jax, glance at a surface", {"tolerance": tolerance}, 4 * rounds, look))
     out += auto_records(rounds, quick) + scipy_records(quick)
     return out
 
@@ -91,7 +85,7 @@ def auto_records(rounds: int, quick: bool) -> list[dict]:
     out = []
     with tempfile.TemporaryDirectory() as folder:
         if said := auto_peer.prepare(folder):
-            print(said, file=sys.stderr)
+            harness.say(said)
             return out
         sizes = ((10, 4),) if quick else ((4, 4), (4, 5), (5, 5), (8, 5), (10, 6), (20, 4), (40, 4))
         for (intervals, collocation), tolerance in itertools.product(sizes, (1e-6,) if quick else (1e-5, 1e-6, 1e-8)):

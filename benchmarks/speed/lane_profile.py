@@ -2,16 +2,14 @@
 
 The 256 chambers of `batch_diagrams.py` on one core, call by call: marching along the branch, events by Newton and the
 residual on a finer grid, reading breakdown loads, and the host's own work. What a right-hand side costs inside such a call and in
-a batch of states alone tells the least that each phase can take. The error of the snaps against `data/chambers.csv` stands beside.
+a batch of states alone is the least that each phase can take. The error of the snaps against `data/chambers.csv` stands beside.
 
     DIELECTRIC_JAX_CORES=1 taskset -c 0 python -m benchmarks.speed.lane_profile [--json FILE|-] [--quick]
 """
 
-import argparse
 import functools
 import os
 import sys
-import time
 
 os.environ.setdefault("DIELECTRIC_JAX_CORES", "1")
 
@@ -19,8 +17,9 @@ import jax
 import numpy as np
 
 import dielectric_jax as dj
-from benchmarks.harness import machine, write
-from benchmarks.speed.shots import MATERIAL, States, seconds_of
+from benchmarks import harness
+from benchmarks.speed.batch_diagrams import scenes_of
+from benchmarks.speed.shots import MATERIAL, SHORTEST, States
 from benchmarks.truth import chambers
 from dielectric_jax.diagram import batch, batch_programs, scene_batch
 from dielectric_jax.model.shooting import UNKNOWNS, integrate_membrane
@@ -42,7 +41,7 @@ class Meter:
         self.reset()
 
     def reset(self) -> None:
-        self.seconds, self.calls, self.lanes, self.evaluations = 0.0, 0, 0, 0.0
+        self.watch, self.lanes, self.evaluations = harness.Stopwatch(), 0, 0.0
 
     def __enter__(self):
         setattr(self.module, self.name, functools.wraps(self.program)(self))
@@ -52,11 +51,9 @@ class Meter:
         setattr(self.module, self.name, self.program)
 
     def __call__(self, *args):
-        begin = time.perf_counter()
-        found = jax.block_until_ready(self.program(*args))
-        self.seconds += time.perf_counter() - begin
+        found = self.watch.time(self.program, *args)
         count, sides = self.sides(*args)
-        self.calls, self.lanes, self.evaluations = self.calls + 1, self.lanes + count, self.evaluations + count * sides
+        self.lanes, self.evaluations = self.lanes + count, self.evaluations + count * sides
         return found
 
 
@@ -79,35 +76,30 @@ def right_hand_side() -> float:
         shot = integrate_membrane(MATERIAL, *u, steps, sensitivities=UNKNOWNS)
         return [shot.sensitivities[name] for name in UNKNOWNS]
 
-    best, _ = seconds_of(lambda: jax.block_until_ready(program(u, 48.0)), 5)
-    return best / (LANES * 48 * STAGES)
+    return harness.timed(lambda: program(u, 48.0), 5, shortest=SHORTEST).best / (LANES * 48 * STAGES)
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", metavar="FILE", help='"-" is standard output')
-    parser.add_argument("--quick", action="store_true", help="32 chambers, one round")
+    parser = harness.arguments(__doc__, "32 chambers, one round")
     options = parser.parse_args()
     known = chambers.reference()
     volumes = sorted(known)[:: 8 if options.quick else 1]
-    membrane = dj.Membrane(material=dj.Gent(chambers.STRETCH_LIMIT))
-    scenes = [dj.Scene(membrane, dj.Chamber(volume=v, initial_volume=chambers.INITIAL_VOLUME)) for v in volumes]
+    scenes = scenes_of(volumes)
     meters = {
         "march": Meter(batch, "march_program", march_sides),
         "events": Meter(scene_batch, "correct_program", correction_sides),
         "loads": Meter(scene_batch, "limits_program", lambda membrane, apex: (len(apex), 0)),
     }
-    whole, best, found = float("inf"), {}, None
+
+    def continued():
+        for meter in meters.values():
+            meter.reset()
+        found = dj.continue_scenes(scenes)
+        return found, {n: (m.watch.seconds, m.watch.count, m.lanes, m.evaluations) for n, m in meters.items()}
+
     with meters["march"], meters["events"], meters["loads"]:
-        for k in range(2 if options.quick else 6):
-            for meter in meters.values():
-                meter.reset()
-            begin = time.perf_counter()
-            found = dj.continue_scenes(scenes)
-            seconds = time.perf_counter() - begin
-            if k and seconds < whole:
-                whole = seconds
-                best = {n: (m.seconds, m.calls, m.lanes, m.evaluations) for n, m in meters.items()}
+        timing = harness.timed(continued, 1 if options.quick else 5)
+    whole, (found, best) = timing.best, timing.value_of_best
     side, count = right_hand_side(), len(scenes)
     records = [
         {
@@ -132,22 +124,18 @@ def main() -> int:
         "error": error,
         "right_hand_side_us": 1e6 * side,
         "records": records,
-        "machine": machine(),
+        "machine": harness.machine(),
     }
-    write(document, options.json)
-    out = sys.stderr
-    print(f"{1e3 * whole / count:.2f} ms a diagram; largest error of a snap's voltage {error:.1e}", file=out)
-    print(f"a right-hand side with three derivatives, states alone: {1e6 * side:.3f} µs", file=out)
-    print(f"{'':10}{'ms':>8}{'share':>8}{'calls':>8}{'lanes':>9}{'sides':>9}{'ms alone':>10}", file=out)
+    harness.say(f"{1e3 * whole / count:.2f} ms a diagram; largest error of a snap's voltage {error:.1e}")
+    harness.say(f"a right-hand side with three derivatives, states alone: {1e6 * side:.3f} µs")
+    harness.say(f"{'':10}{'ms':>8}{'share':>8}{'calls':>8}{'lanes':>9}{'sides':>9}{'ms alone':>10}")
     for r in records:
         line = f"{r['phase']:10}{r['ms_a_diagram']:8.2f}{r['share']:8.2f}"
         if "calls" in r:
             line += f"{r['calls']:8d}{r['lanes_with_padding']:9d}{r['right_hand_sides_a_diagram']:9.0f}"
             line += f"{r['ms_a_diagram_of_right_hand_sides_alone']:10.2f}"
-        print(line, file=out)
-    good = error < 1e-8
-    print("PASSED" if good else "FAILED", file=out)
-    return 0 if good else 1
+        harness.say(line)
+    return harness.finish(document, options.json, error < 1e-8)
 
 
 if __name__ == "__main__":

@@ -5,8 +5,7 @@ Random states of the default membrane, from λa = 1.2 to 10, t from −0.3 to th
 result: λ2 at the rim for the shot, p for the map.
 """
 
-import sys
-import time
+import functools
 
 import diffrax as dfx
 import jax
@@ -16,6 +15,7 @@ import optimistix as optx
 from scipy.integrate import solve_ivp
 
 import dielectric_jax as dj
+from benchmarks import harness
 from benchmarks.truth import extended_precision as truth
 from benchmarks.truth import scipy_peers
 from benchmarks.truth.chambers import STRETCH_LIMIT, breakdown_load
@@ -24,6 +24,7 @@ from dielectric_jax.model.shooting import EvenSteps, graded_map, integrate_membr
 
 MATERIAL = dj.Gent(STRETCH_LIMIT)
 BATCH = 128
+SHORTEST = 5e-3  # seconds of a round, which repeats its call until then
 _FIRST = 4e-4
 SOLVERS = {"Tsit5": dfx.Tsit5, "Dopri5": dfx.Dopri5, "Dopri8": dfx.Dopri8, "Kvaerno5": dfx.Kvaerno5}
 
@@ -56,23 +57,6 @@ class States:
         return float(np.max(np.maximum(np.abs(p / self.p[some] - 1), np.abs(v / self.v[some] - 1))))
 
 
-def seconds_of(run, rounds: int) -> tuple[float, float]:
-    """Of a warm call, the best of the rounds of at least 5 ms each; and of the first."""
-    begin = time.perf_counter()
-    run()
-    first = time.perf_counter() - begin
-    begin = time.perf_counter()
-    run()
-    repeats = max(1, int(5e-3 / (time.perf_counter() - begin)))
-    best = float("inf")
-    for _ in range(rounds):
-        begin = time.perf_counter()
-        for _ in range(repeats):
-            run()
-        best = min(best, (time.perf_counter() - begin) / repeats)
-    return best, max(0.0, first - best)
-
-
 def records_of(name, engine, knob, values, program, states, error, rounds):
     """Records of a JAX program(lanes, value), alone and in a batch, along the values of its knob."""
     compiled = jax.jit(program)
@@ -83,9 +67,8 @@ def records_of(name, engine, knob, values, program, states, error, rounds):
         for batch in (1, states.count):
             own = lanes if batch > 1 else tuple(w[:1] for w in lanes)
             if batch > 1:
-                best, first = seconds_of(
-                    lambda own=own, v=value: jax.block_until_ready(compiled(own, float(v))), rounds
-                )
+                timing = harness.timed(lambda own=own, v=value: compiled(own, float(v)), rounds, shortest=SHORTEST)
+                calls = 1
             else:  # adaptive steps depend on the state: a few of them, one after the other
                 some = [tuple(w[k : k + 1] for w in lanes) for k in range(0, states.count, max(1, states.count // 8))]
 
@@ -93,15 +76,15 @@ def records_of(name, engine, knob, values, program, states, error, rounds):
                     for lane in some:
                         jax.block_until_ready(compiled(lane, float(v)))
 
-                best, first = (w / len(some) for w in seconds_of(each, rounds))
+                timing, calls = harness.timed(each, rounds, shortest=SHORTEST), len(some)
             out.append(
                 {
                     "name": name,
                     "engine": engine,
                     "parameters": {knob: value, "batch": batch},
                     "error": error(*found[:2]),
-                    "seconds": best / batch,
-                    "compile_seconds": first,
+                    "seconds": timing.best / calls / batch,
+                    "compile_seconds": timing.compile_seconds / calls,
                     "counts": {"states": states.count},
                 }
             )
@@ -206,12 +189,13 @@ def shot_records(quick: bool) -> list[dict]:
             knob = "steps" if graded else "digits"
             program = diffrax_shot(solver, graded)
             out += records_of("shot", engine, knob, values, program, states, states.shot_error, rounds)
-            print(f"{engine}: {out[-1]['seconds'] * 1e6:.0f} µs at {out[-1]['error']:.1e}", file=sys.stderr, flush=True)
+            harness.say(f"{engine}: {out[-1]['seconds'] * 1e6:.0f} µs at {out[-1]['error']:.1e}")
     for method in ("DOP853", "RK45"):
         for digits in (6,) if quick else (4, 6, 8, 10, 12):
             count = 4 if quick else 8
             error = states.shot_error(*scipy_shot(method, 10.0**-digits, states, count))
-            best, _ = seconds_of(lambda m=method, d=digits, n=count: scipy_shot(m, 10.0**-d, states, n), 1)
+            run = functools.partial(scipy_shot, method, 10.0**-digits, states, count)
+            best = harness.timed(run, 1, shortest=SHORTEST).best
             parameters = {"digits": digits, "batch": 1}
             one = {"name": "shot", "engine": f"SciPy {method}", "parameters": parameters, "error": error}
             out.append(one | {"seconds": best / count, "compile_seconds": 0.0, "counts": {"states": count}})
@@ -247,7 +231,7 @@ def map_records(quick: bool) -> list[dict]:
             )
 
         p, v = by_scipy().T
-        best, _ = seconds_of(by_scipy, 1)
+        best = harness.timed(by_scipy, 1, shortest=SHORTEST).best
         one = {"name": "map", "engine": "SciPy DOP853 with an event", "parameters": {"digits": digits, "batch": 1}}
         one |= {"error": states.map_error(p, v), "seconds": best / count, "compile_seconds": 0.0}
         out.append(one | {"counts": {"states": count}})

@@ -6,22 +6,18 @@ references of `chambers.py` (extended precision), which share no code with the p
     python -m benchmarks.speed.sweep_throughput [--scenes 32768] [--largest 1000000] [--json FILE|-] [--quick]
 """
 
-import argparse
 import concurrent.futures
 import contextlib
 import multiprocessing
 import pathlib
 import sys
 import tempfile
-import time
 
 import jax
 import numpy as np
 
 import dielectric_jax as dj
-from benchmarks.harness import machine, write
-from benchmarks.speed.first_diagram import calibrate
-from benchmarks.speed.sweep import gigabytes
+from benchmarks import harness
 from benchmarks.truth.chambers import INITIAL_VOLUME, reference, voltage
 
 jax.config.update("jax_enable_x64", True)
@@ -51,17 +47,17 @@ def errors(data) -> dict:
     """The largest errors of the sweep of the references, and how many of them were decided."""
     truth, worst, decided = reference(), 0.0, 0
     for i, one in enumerate(truth.values()):
-        told = data.isel(chamber_volume=i)
-        if int(told.outcome) == dj.sweeps.Answer.unresolved:
+        found = data.isel(chamber_volume=i)
+        if int(found.outcome) == dj.sweeps.Answer.unresolved:
             continue
         decided += 1
-        known = told.fold_voltage.values
+        known = found.fold_voltage.values
         for q, _ in one.folds:
             if q > 0:
                 apart = np.abs(known - voltage(q))
                 worst = max(worst, float(np.nanmin(apart)) if np.isfinite(apart).any() else np.inf)
-        if np.isfinite(told.breakdown_voltage):
-            worst = max(worst, abs(float(told.breakdown_voltage) - voltage(one.breakdown)))
+        if np.isfinite(found.breakdown_voltage):
+            worst = max(worst, abs(float(found.breakdown_voltage) - voltage(one.breakdown)))
     return {"error": worst, "decided": decided, "references": len(truth)}
 
 
@@ -73,12 +69,60 @@ def drawn(count: int):
     )
 
 
+class Sweeps:
+    """Sweeps of random scenes into new stores of a folder."""
+
+    def __init__(self, folder: str):
+        self.folder, self.count = pathlib.Path(folder), 0
+
+    def run(self, count: int, **given) -> tuple[float, object]:
+        """The seconds of one sweep, and its data."""
+        self.count += 1
+        watch = harness.Stopwatch()
+        data = watch.time(dj.sweep, SCENE, drawn(count), output=self.folder / f"{self.count}.zarr", **given)
+        return watch.seconds, data
+
+
+def record(name: str, engine: str, tolerance: float, kind: str, workers: int, scenes: int, seconds: float) -> dict:
+    """What one sweep took."""
+    return {
+        "name": f"sweep_throughput: {name}",
+        "engine": engine,
+        "tolerance": tolerance,
+        "executor": kind,
+        "workers": workers,
+        "scenes": scenes,
+        "seconds": seconds,
+        "scenes_per_second": scenes / seconds,
+    }
+
+
+def of_executors(sweeps: Sweeps, kinds: list, counts: dict):
+    """The records of both engines with every executor, warm."""
+    for engine, tolerance in (("surface", 1e-9), ("surface", 1e-6), ("continuation", 1e-8)):
+        given = {"engine": engine, "tolerance": tolerance, "progress": False}
+        known = errors(dj.sweep(SCENE, chamber_volume=list(reference()), **given))
+        for kind, workers in kinds if tolerance != 1e-6 else kinds[:1]:
+            with executor(kind, workers) as pool:
+                given["executor"] = pool
+                block = max(32, counts[engine] // 16)
+                sweeps.run(block * workers, block=block, **given)
+                seconds, _ = sweeps.run(counts[engine], block=block, **given)
+            yield record("executors", engine, tolerance, kind, workers, counts[engine], seconds) | known
+
+
+def of_sizes(sweeps: Sweeps, sizes: list):
+    """The records of sweeps of more and more scenes."""
+    for count in sizes:
+        seconds, data = sweeps.run(count, progress=False)
+        more = {"gigabytes": harness.most_gigabytes(), "outcomes": dj.sweeps.count_sweep(data)["outcome"]}
+        yield record("sizes", "surface", 1e-9, "in process", 1, count, seconds) | more
+
+
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = harness.arguments(__doc__, "few scenes, fewer executors")
     parser.add_argument("--scenes", type=int, default=32768)
     parser.add_argument("--largest", type=int, default=1_000_000)
-    parser.add_argument("--json", metavar="FILE", help='"-" is standard output')
-    parser.add_argument("--quick", action="store_true", help="few scenes, fewer executors")
     options = parser.parse_args()
     dj.enable_compilation_cache()
     kinds = [("in process", 1), ("processes", 1), ("processes", 2), ("dask", 1), ("dask", 2)]
@@ -88,65 +132,21 @@ def main() -> int:
     sizes = [100, 1000] if options.quick else [n for n in (10**2, 10**3, 10**4, 10**5, 10**6) if n <= options.largest]
     records = []
     with tempfile.TemporaryDirectory() as folder:
-        number = iter(range(10**6))
-
-        def timed(count: int, **given) -> tuple[float, object]:
-            begin = time.perf_counter()
-            data = dj.sweep(SCENE, drawn(count), output=pathlib.Path(folder) / f"{next(number)}.zarr", **given)
-            return time.perf_counter() - begin, data
-
-        settings = [("surface", 1e-9), ("surface", 1e-6), ("continuation", 1e-8)]
-        for engine, tolerance in settings:
-            given = {"engine": engine, "tolerance": tolerance, "progress": False}
-            known = errors(dj.sweep(SCENE, chamber_volume=list(reference()), **given))
-            for kind, workers in kinds if tolerance != 1e-6 else kinds[:1]:
-                with executor(kind, workers) as pool:
-                    given["executor"] = pool
-                    block = max(32, counts[engine] // 16)
-                    timed(block * workers, block=block, **given)
-                    seconds, _ = timed(counts[engine], block=block, **given)
-                records.append(
-                    {
-                        "name": "sweep_throughput: executors",
-                        "engine": engine,
-                        "tolerance": tolerance,
-                        "executor": kind,
-                        "workers": workers,
-                        "scenes": counts[engine],
-                        "seconds": seconds,
-                        "scenes_per_second": counts[engine] / seconds,
-                        **known,
-                    }
-                )
-                print(records[-1], file=sys.stderr, flush=True)
-        for count in sizes:
-            seconds, data = timed(count, progress=False)
-            records.append(
-                {
-                    "name": "sweep_throughput: sizes",
-                    "engine": "surface",
-                    "tolerance": 1e-9,
-                    "executor": "in process",
-                    "workers": 1,
-                    "scenes": count,
-                    "seconds": seconds,
-                    "scenes_per_second": count / seconds,
-                    "gigabytes": gigabytes(),
-                    "outcomes": dj.sweeps.count_sweep(data)["outcome"],
-                    **{key: records[0][key] for key in ("error", "decided", "references")},
-                }
-            )
-            print(records[-1], file=sys.stderr, flush=True)
-    wrong = [r for r in records if not r["error"] < max(ALLOWED, 10 * r["tolerance"])]
+        sweeps = Sweeps(folder)
+        for one in of_executors(sweeps, kinds, counts):
+            records.append(one)
+            harness.say(one)
+        for one in of_sizes(sweeps, sizes):
+            records.append(one | {key: records[0][key] for key in ("error", "decided", "references")})
+            harness.say(records[-1])
+    good = all(r["error"] < max(ALLOWED, 10 * r["tolerance"]) for r in records)
     document = {
         "name": "sweep_throughput",
         "records": records,
-        "calibration_seconds": calibrate(),
-        "machine": machine(),
+        "calibration_seconds": harness.calibrate(),
+        "machine": harness.machine(),
     }
-    write(document, options.json)
-    print("FAILED" if wrong else "PASSED", file=sys.stderr)
-    return 1 if wrong else 0
+    return harness.finish(document, options.json, good)
 
 
 if __name__ == "__main__":

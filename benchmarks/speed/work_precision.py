@@ -7,7 +7,6 @@ the batch of 256 chambers, whose records `batch_diagrams.py` writes. Errors are 
     AUTO_DIR=… python -m benchmarks.speed.work_precision [--batch FILE] [--records FILE] [--draw] [--output docs] [--quick]
 """
 
-import argparse
 import json
 import pathlib
 import sys
@@ -17,7 +16,7 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 
 import dielectric_jax as dj
-from benchmarks.harness import machine, write
+from benchmarks import harness
 from benchmarks.speed import curves, shots
 
 jax.config.update("jax_enable_x64", True)
@@ -137,8 +136,8 @@ def draw(name: str, records: list[dict], path: pathlib.Path) -> None:
 
 
 def settings(parameters: dict) -> str:
-    told = {k: v for k, v in parameters.items() if k not in ("batch", "threads", "batched")}
-    return ", ".join(f"{k} {v:g}" if isinstance(v, float) else f"{k} {v}" for k, v in told.items()).replace("_", " ")
+    own = {k: v for k, v in parameters.items() if k not in ("batch", "threads", "batched")}
+    return ", ".join(f"{k} {v:g}" if isinstance(v, float) else f"{k} {v}" for k, v in own.items()).replace("_", " ")
 
 
 def table(name: str, records: list[dict]) -> list[str]:
@@ -160,30 +159,28 @@ def table(name: str, records: list[dict]) -> list[str]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = harness.arguments(__doc__, "few states and settings")
     parser.add_argument("--batch", type=pathlib.Path, metavar="FILE", help="records of batch_diagrams.py")
-    parser.add_argument("--records", "--json", metavar="FILE", help="where the records are kept")
+    parser.add_argument("--records", dest="json", metavar="FILE", help="the same as --json")
     parser.add_argument("--draw", action="store_true", help="draw what --records holds, measure nothing")
     parser.add_argument("--output", type=pathlib.Path, default=DOCS, help="folder of table and figures")
-    parser.add_argument("--quick", action="store_true", help="few states and settings")
     options = parser.parse_args()
     if options.quick:
         dj.enable_compilation_cache()
     if options.draw:
-        document = json.loads(pathlib.Path(options.records).read_text())
+        document = json.loads(pathlib.Path(options.json).read_text())
     else:
         makers = {"shot": shots.shot_records, "map": shots.map_records, "pressure_volume": curves.records}
-        document = {"name": "work_precision", "machine": machine(), "records": {}}
+        document = {"name": "work_precision", "machine": harness.machine(), "records": {}}
         for name, make in makers.items():
             document["records"][name] = make(options.quick)
-            print(f"{name}: {len(document['records'][name])} records", file=sys.stderr, flush=True)
-            write(document, options.records, partial=True)
+            harness.say(f"{name}: {len(document['records'][name])} records")
+            harness.write(document, options.json, partial=True)
     if options.batch is not None:
         document["records"]["batch"] = batch_records(options.batch)
     elif "batch" not in document["records"]:
-        print("batch: no records given (--batch)", file=sys.stderr)
-    write(document, options.records)
-    machine_told = document["machine"]
+        harness.say("batch: no records given (--batch)")
+    machine = document["machine"]
     lines = [
         "# Work and precision",
         "",
@@ -192,15 +189,15 @@ def main() -> int:
         "another machine, seconds do not. What each row holds is in the docstrings of `benchmarks/speed/shots.py`, `curves.py`",
         "and `batch_diagrams.py`. AUTO-07p prints eleven digits, so that its smallest errors are chance.",
         "",
-        f"Measured on {machine_told['processor']}, {machine_told['cores']} cores, jax {machine_told['jax']}.",
+        f"Measured on {machine['processor']}, {machine['cores']} cores, jax {machine['jax']}.",
         "",
     ]
     for name, records in document["records"].items():
         draw(name, records, options.output / "figures" / f"work_precision_{name}.png")
         lines += table(name, records)
     (options.output / "work_precision.md").write_text("\n".join(lines))
-    print(f"written: {options.output / 'work_precision.md'} and its figures", file=sys.stderr)
-    return 0
+    harness.say(f"written: {options.output / 'work_precision.md'} and its figures")
+    return harness.finish(document, options.json, True)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,8 @@ import pathlib
 import re
 import shutil
 import subprocess
-import time
+
+from benchmarks import harness
 
 EQUATIONS = pathlib.Path(__file__).parent / "auto"
 FOLD, STOP, MARK = 5, -4, 4  # AUTO's types of points: fold, user's point (−4, which ends the branch or not)
@@ -73,18 +74,18 @@ def run(folder: str, constants: str, more: str) -> Run:
     (pathlib.Path(folder) / "fort.2").write_text(text)
     branch = pathlib.Path(folder) / "fort.7"
     branch.unlink(missing_ok=True)
-    begin = time.perf_counter()
-    done = subprocess.run(
-        [pathlib.Path(folder) / "membrane.exe"],
-        cwd=folder,
-        env={**os.environ, "OMP_NUM_THREADS": threads()},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    process = time.perf_counter() - begin
+    process = harness.Stopwatch()
+    with process:
+        done = subprocess.run(
+            [pathlib.Path(folder) / "membrane.exe"],
+            cwd=folder,
+            env={**os.environ, "OMP_NUM_THREADS": threads()},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
     printed = re.search(r"Total Time\s+(\S+)", done.stdout)
     # columns: branch, point, type, label, numbers; the header has branch 0
     rows = [line.split() for line in branch.read_text().splitlines()] if branch.exists() else []
     points = [(int(r[2]) % 10 if int(r[2]) > 0 else int(r[2]), [float(v) for v in r[4:]]) for r in rows if r[0] != "0"]
-    return Run(float(printed[1]) if printed else float("nan"), process, points)
+    return Run(float(printed[1]) if printed else float("nan"), process.seconds, points)

@@ -31,7 +31,7 @@ def voltage(q):
 class Found:
     """Special points of one chamber in their order on the branch, from the filling on to the first breakdown.
 
-    (q, V) of folds, where q is NaN if it is negative and an engine tells no more; volumes at zero voltage without the start's;
+    (q, V) of folds, where q is NaN if it is negative and an engine gives no more; volumes at zero voltage without the start's;
     q of breakdown; the volume of the landing of the snap, None where an engine does not seek it, NaN where it found none.
     """
 
@@ -73,7 +73,7 @@ def judge(found: dict[float, Found], truth: dict[float, Found]) -> dict:
     errors = {"error": 0.0, "fold_volume_error": 0.0, "breakdown_error": 0.0, "zero_voltage_error": 0.0}
     errors["landing_error"] = 0.0
     missing = false = wrong = missing_breakdown = missing_landing = 0
-    told_zero = told_landing = False
+    has_zero = has_landing = False
     for chamber, one in found.items():
         true = truth[chamber]
         own = dict.fromkeys(errors, 0.0)
@@ -89,14 +89,14 @@ def judge(found: dict[float, Found], truth: dict[float, Found]) -> dict:
             missing_breakdown += 1
             bad, own["breakdown_error"] = True, 0.0
         if one.zero_voltage is not None:
-            told_zero = True
+            has_zero = True
             if len(one.zero_voltage) != len(true.zero_voltage):
                 bad = True
             else:
                 gaps = [abs(a / b - 1) for a, b in zip(one.zero_voltage, true.zero_voltage, strict=True)]
                 own["zero_voltage_error"] = max(gaps, default=0.0)
         if one.landing is not None:
-            told_landing = True
+            has_landing = True
             bad |= np.isfinite(one.landing) and true.landing is None
             missing_landing += true.landing is not None and not np.isfinite(one.landing)
             if np.isfinite(one.landing) and true.landing is not None:
@@ -105,12 +105,12 @@ def judge(found: dict[float, Found], truth: dict[float, Found]) -> dict:
         bad |= any(v > (_RIGHT if k in ("error", "breakdown_error") else _RIGHT_VOLUME) for k, v in own.items())
         wrong += bad
         errors = {k: max(v, own[k]) for k, v in errors.items()}
-    if not told_zero:
+    if not has_zero:
         errors["zero_voltage_error"] = None
-    if not told_landing:
+    if not has_landing:
         errors["landing_error"] = None
     counts = {"lanes": len(found), "missing_folds": missing, "false_folds": false, "wrong_lanes": wrong}
-    counts |= {"missing_breakdowns": missing_breakdown, "missing_landings": missing_landing if told_landing else None}
+    counts |= {"missing_breakdowns": missing_breakdown, "missing_landings": missing_landing if has_landing else None}
     return {**errors, "counts": counts}
 
 

@@ -130,9 +130,9 @@ def rim_pressure(apex, q, limit, rim, rise=0.04):
 
             after = _step(slope, at, rise, y)
             gap, left = rim[todo] - apex[todo] - y[1], rim[todo] - apex[todo] - after[1]
-            met = left >= 0
-            guess[todo[met]] = np.exp(at[met] + rise * (gap / (gap - left))[met])
-            on = ~met & np.isfinite(left)
+            passed = left >= 0
+            guess[todo[passed]] = np.exp(at[passed] + rise * (gap / (gap - left))[passed])
+            on = ~passed & np.isfinite(left)
             todo, at, y = todo[on], at[on] + rise, after[:, on]
             if not len(todo):
                 break

@@ -80,7 +80,7 @@ class Batch:
             x = jnp.append(u, q) * SCALE
             return jnp.append(x, shot(x, steps)[1]), converged
 
-        def meet(x, gas, level, broken):
+        def at_load(x, gas, level, broken):
             """Newton on the residual with q given, or that of breakdown."""
 
             def value(y):
@@ -91,7 +91,7 @@ class Batch:
             return jnp.append(y * SCALE, shot(y * SCALE, steps)[1])
 
         self._branches = jax.jit(jax.vmap(branch))
-        self._folds, self._meet = jax.jit(jax.vmap(fold)), jax.jit(jax.vmap(meet))
+        self._folds, self._at_load = jax.jit(jax.vmap(fold)), jax.jit(jax.vmap(at_load))
 
     def run(self):
         q, u, valid = (np.asarray(w) for w in self._branches(self.gas))
@@ -116,8 +116,8 @@ class Batch:
         places = [row[:2] for row in asked]
         u, q, gas = self._padded(x, places, 4 * len(self.lanes))
         level, flag = (np.resize(np.array([row[j] for row in asked]), len(u)) for j in (2, 3))
-        met = np.asarray(self._meet(np.concatenate([u, q[:, None]], axis=1), gas, level, flag))
-        return self._found(folds, broken, zeros, landings, met), None, {"points": int(count.sum())}
+        located = np.asarray(self._at_load(np.concatenate([u, q[:, None]], axis=1), gas, level, flag))
+        return self._found(folds, broken, zeros, landings, located), None, {"points": int(count.sum())}
 
     def _padded(self, x, places, size):
         """States at (lane, point) of the branches, repeated up to a size: u, q and the gas."""
@@ -125,7 +125,7 @@ class Batch:
         return x[lanes, at, :2], x[lanes, at, 2], np.asarray(self.gas)[lanes]
 
     def _landings(self, x, count, folds):
-        """(lane, point, load) behind the first fold of each lane, where its load is met again."""
+        """(lane, point, load) behind the first fold of each lane, where its load is reached again."""
         found = {}
         for (k, i), state in folds.items():
             load = x[k, : count[k], 2] * SCALE[2]
@@ -135,15 +135,15 @@ class Batch:
                 found[k] = [(k, again[0] + 1, state[2])] if again.size else []
         return [row for rows in found.values() for row in rows]
 
-    def _found(self, folds, broken, zeros, landings, met):
+    def _found(self, folds, broken, zeros, landings, located):
         out = {c: chambers.Found([], [], chambers.NAN, chambers.NAN) for c in self.lanes}
         for (k, _), state in folds.items():
             out[self.lanes[k]].folds.append((state[2], state[3]))
-        for (k, _), state in zip(broken, met, strict=False):
+        for (k, _), state in zip(broken, located, strict=False):
             out[self.lanes[k]].breakdown = state[2]
-        for (k, _), state in zip(zeros, met[len(broken) :], strict=False):
+        for (k, _), state in zip(zeros, located[len(broken) :], strict=False):
             out[self.lanes[k]].zero_voltage.append(state[3])
-        for (k, *_), state in zip(landings, met[len(broken) + len(zeros) :], strict=False):
+        for (k, *_), state in zip(landings, located[len(broken) + len(zeros) :], strict=False):
             out[self.lanes[k]].landing = state[3]
         return out
 

@@ -19,11 +19,11 @@ import csv
 import itertools
 import pathlib
 import sys
-import time
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
+from benchmarks import harness
 from benchmarks.truth import extended_precision as truth
 
 DATA = pathlib.Path(__file__).parent / "data"
@@ -297,7 +297,7 @@ def main() -> int:
     parser.add_argument("--output", type=pathlib.Path, default=DATA)
     options = parser.parse_args()
     options.output.mkdir(exist_ok=True)
-    begin = time.perf_counter()
+    report = harness.Progress()
     grids = ((options.steps, _WIDTH), (2 * options.steps, 0.6 * _WIDTH))
 
     once, twice = (pressure_folds(*grid) for grid in grids)
@@ -306,11 +306,11 @@ def main() -> int:
         kind = f"fold at voltage {a[0]:g}"
         rows.append(["", kind, *map(digits, b[1:]), f"{uncertainty(a[1:], b[1:], 1):.1e}"])
     write(options.output / "pressure_volume.csv", rows)
-    print(f"p–V folds after {time.perf_counter() - begin:.0f} s", file=sys.stderr, flush=True)
+    report("p–V folds")
 
     chambers = np.geomspace(SMALLEST, LARGEST, options.chambers)
     apexes, q, p, _ = march(chambers)
-    print(f"marched after {time.perf_counter() - begin:.0f} s", file=sys.stderr, flush=True)
+    report("marched")
     listed = [(k, *found) for k in range(len(chambers)) for found in guesses(apexes, q[:, k], p[:, k])]
     once, twice = (solve(chambers, listed, *grid) for grid in grids)
     rows = []
@@ -318,7 +318,7 @@ def main() -> int:
         rows.append([repr(float(chambers[lane])), kind, *map(digits, b), f"{uncertainty(a, b, 3):.1e}"])
     write(options.output / "chambers.csv", rows)
     worst = max(float(r[-1]) for r in rows)
-    print(f"{len(rows)} points, largest uncertainty {worst:.1e}, {time.perf_counter() - begin:.0f} s", file=sys.stderr)
+    report(f"{len(rows)} points, largest uncertainty {worst:.1e}")
     return 0 if worst < 1e-12 else 1
 
 

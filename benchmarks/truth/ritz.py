@@ -64,7 +64,7 @@ def profile(apex, pressure, q, limit, radius):
 class Ritz:
     """Matrices of many states, arrays (lanes,) of λa, p, q, J: `second` (lanes, n, n), `of_volume` and `of_charge` (lanes, n).
 
-    `charge` is C = Q/Φ, `rim` λ2 at R = 1, which tells whether a state is an equilibrium.
+    `charge` is C = Q/Φ, `rim` λ2 at R = 1, which says whether a state is an equilibrium.
     """
 
     def __init__(self, apex, pressure, q, limit, elements: int = ELEMENTS):

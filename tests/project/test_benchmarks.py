@@ -22,6 +22,26 @@ def quick(script: str, tmp_path, *more) -> tuple[dict, str]:
     return json.loads(done.stdout), done.stderr  # one document, whatever is written on the way
 
 
+def test_calls_are_timed_in_turn():
+    asked = []
+
+    def call(name):
+        return lambda: asked.append(name) or len(asked)
+
+    timings = harness.timed_in_turn({"a": call("a"), "b": call("b")}, 2)
+    assert asked == ["a", "b"] * 3  # once to compile, then turn by turn
+    assert timings["a"].values == [3, 5] and timings["b"].value == 6
+    assert all(len(t.seconds) == len(t.cpu_seconds) == 2 and t.best <= t.median for t in timings.values())
+    alone = harness.timed(call("c"), 0)  # without warm rounds the first call counts
+    assert alone.values == [7] and alone.best == alone.first and alone.compile_seconds == 0
+    reported = iter((9.0, 3.0, 2.0, 4.0))
+    own = harness.timed(lambda: next(reported), 3, reported=lambda value: value)
+    assert (own.first, own.best, own.median, own.value_of_best, own.compile_seconds) == (9, 2, 3, 2, 7)
+    asked.clear()
+    harness.timed(call("d"), 1, shortest=0.05)
+    assert len(asked) > 10  # a round of a quick call repeats it
+
+
 def test_partial_records_go_to_files_only(tmp_path, capsys):
     file = tmp_path / "record.json"
     for count in (1, 2):
@@ -70,6 +90,8 @@ def test_the_first_diagram_is_measured_and_right(tmp_path):
     empty, filled, warm = record["records"]
     assert filled["compile_seconds"] < empty["compile_seconds"]
     assert warm["seconds_per_diagram"] < filled["seconds_per_diagram"]
+    stages = "stages_summed_over_threads"
+    assert filled[stages]["compile"] < empty[stages]["compile"] and filled[stages]["load"] > 0
 
 
 def test_sixty_random_scenes_have_one_answer_in_every_way(tmp_path):
@@ -206,14 +228,6 @@ def test_the_cost_of_a_scene_is_told_beside_its_error(tmp_path):
     assert all(r["ratio"] > 0 and (r["error"] is None or r["error"] < 1e-9) for r in record["records"])
 
 
-def test_a_cold_start_is_taken_apart(tmp_path):
-    record, said = quick("speed.cold_start", tmp_path)
-    empty, filled = record["records"]
-    assert empty["error"] < 1e-9 and filled["error"] < 1e-9, said
-    stages = "stages_summed_over_threads"
-    assert filled[stages]["compile"] < empty[stages]["compile"] and filled[stages]["load"] > 0
-
-
 def test_some_hard_cases_make_a_table(tmp_path):
     table = tmp_path / "table.md"
     record, said = quick("acceptance.hard_cases", tmp_path, "--case", "6", "10", "--table", table)
@@ -231,8 +245,8 @@ def test_some_hard_scenes_are_counted(tmp_path):
     ramps, sample = record["records"]
     assert ramps["engine"] == "surface" and sample["engine"] == "continuation", said
     counts = ramps["counts"]
-    outcomes = {k: v for k, v in counts.items() if k not in ("scenes", "half_told")}
-    assert counts["scenes"] == sum(outcomes.values()) == 64 and counts["half_told"] == 0
+    outcomes = {k: v for k, v in counts.items() if k not in ("scenes", "half_decided")}
+    assert counts["scenes"] == sum(outcomes.values()) == 64 and counts["half_decided"] == 0
     assert sample["counts"]["compared"] >= 2 and sample["counts"]["differing"] == 0, said
     assert sample["error"] < 1e-8 and ramps["error"] <= 1e-8
 
