@@ -181,7 +181,7 @@ def test_an_interrupt_leaves_a_store_to_resume(tmp_path):
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does, to the workers too
     said = process.communicate()[1]
     assert process.returncode == 130
-    assert said.splitlines()[0].endswith("keeps what is finished, --resume goes on.") and "Traceback" not in said
+    assert said.splitlines()[0].endswith("keeps what is finished, --resume continues.") and "Traceback" not in said
     import dielectric_jax as dj
 
     assert 0 < dj.open_sweep(store).attrs["blocks_done"] < 1000
