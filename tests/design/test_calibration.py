@@ -217,13 +217,13 @@ def test_a_misfit_that_is_no_noise_is_said(exact):
     found = dj.calibrate(volume, pressure + noise, units=dj.Units(radius=17e-3))
     assert (
         "times the noise of the pressures" in found.warnings[0]
-        and "seek more constants, such as the prestretch" in found.warnings[0]
+        and "fit more constants, such as the prestretch" in found.warnings[0]
     )
     found = dj.calibrate(volume, pressure + noise + 900.0, units=UNITS)
     assert "an offset of the pressures of " in found.warnings[0]
     assert abs(float(re.search(r"pressures of ([\d.]+) Pa", found.warnings[0])[1]) - 900) < 150
     assert found.to_json()["warnings"] == list(found.warnings)
-    with pytest.raises(ValueError, match=r"looks absolute, and no fit follows it; subtract"):
+    with pytest.raises(ValueError, match=r"looks absolute, and no fit matches it; subtract"):
         dj.calibrate(volume, pressure + noise + 101325.0, units=UNITS)
     both = np.concatenate([volume[::2], volume[::-2]]), np.concatenate([pressure[::2], 0.8 * pressure[::-2]])
     assert "The volume rises and falls" in dj.calibrate(*both, units=UNITS).warnings[0]

@@ -129,7 +129,7 @@ def test_the_same_curve_in_every_format(tmp_path, name):
         ("volume [ml],pressure [kPa]\n" + rows() + "7,1e400\n", "line 27"),
         ("volume [ml],pressure [kPa]\n3,4\n-50,2\n" + rows(), "line 3 .* has -5e-05"),
         ("volume [ml],pressure [kPa]\n3,4\n50,-8\n" + rows(), "line 3 .* has -8000"),
-        ("volume [ml],pressure [Pa]\n1.5,1,095.8\n" + rows(), "line 2 .* has 3 cells under 2 heads"),
+        ("volume [ml],pressure [Pa]\n1.5,1,095.8\n" + rows(), "line 2 .* has 3 cells under 2 headings"),
         ("volume [ml],pressure [kPa]\n" + comma(rows("{v}_{p}")).replace("_", ","), "line 2 .* 4 cells"),
         ("volume [ml];pressure [kPa]\n3.25;1\n3,5;2\n", "line 2 .* decimal point and line 3 a decimal comma"),
         ("volume [ml];pressure [kPa]\n3,250;1,125\n3,500;2,250\n", "the comma in line 2"),
@@ -169,8 +169,8 @@ def test_columns_and_units_may_be_given(tmp_path):
     found = dj.design.read_measurement(file, columns=("volume [ml]", "pressure 2 [kPa]"))
     np.testing.assert_allclose(found.pressure, PRESSURE * 1e3)
     for columns, units, message in (
-        ((1, 4), None, "`columns` must be places from 1 to 3"),
-        (("volume", "pressure"), None, "`columns` must be heads"),
+        ((1, 4), None, "`columns` must be positions from 1 to 3"),
+        (("volume", "pressure"), None, "`columns` must be headings"),
         ((3, 1), ("gal", "kPa"), "'gal'"),
         ((3,), None, "`columns` must be two"),
     ):
