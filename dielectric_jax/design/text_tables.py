@@ -177,7 +177,9 @@ def _find_table(path, lines: list[Line], columns, column_units) -> Table:
 
 def _no_columns(path, lines: list[Line], first: int, columns) -> str:
     if columns is not None:
-        return f"`columns` must be headings of one column each in {path}, but {' and '.join(map(repr, columns))} are not."
+        return (
+            f"`columns` must be headings of one column each in {path}, but {' and '.join(map(repr, columns))} are not."
+        )
     head = next((line for line in reversed(lines[:first]) if not line.remark), None)
     advice = "name them and their units in the first line, or give `columns` and `column_units`"
     if head is None:
