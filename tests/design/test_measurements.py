@@ -1,4 +1,4 @@
-"""Measurements in the formats that instruments and people write: the same numbers come out, or a line and a reason."""
+"""Measurements in the formats that instruments and people write: they give the same numbers, or a line and a reason."""
 
 import re
 
@@ -27,7 +27,7 @@ def comma(text):
     return text.replace(".", ",")
 
 
-# every file holds the same curve: its text or bytes, by what it tries
+# every file holds the same curve: text or bytes, by the feature it tests
 FILES = {
     "hash head": "# volume (mL), pressure (Bar)\n" + rows("{v:.9e},{p:.9e}", p=0.01),
     "preamble": "# a film\n# Operator, X\nSample;7\nVolume / ml;Pressure / kPa\n" + rows("{v};{p}"),
@@ -81,7 +81,7 @@ FILES = {
     "zero first": "volume [ml],pressure [kPa]\n0,0\n0.000,-0.001\n" + rows(),
     "remarks between": "volume [ml],pressure [kPa]\n# pause\n" + rows() + "# end, 7\n",
 }
-# the accuracy of files that were rounded once more
+# the accuracy of files whose numbers were rounded again
 ROUNDED = {"thousands": 1e-3, "thousands, German": 1e-3, "thousands by blanks": 1e-3, "micro sign": 1e-12}
 
 
@@ -206,7 +206,7 @@ def test_loading_and_unloading_are_told_apart(tmp_path):
 
 
 def test_turns_are_no_noise():
-    """Cycles of a volume with noise: the runs are its halves; of points in no order there is one run."""
+    """Cycles of a volume with noise: the runs are its halves; unordered points form one run."""
     random = np.random.default_rng(0)
     volume = 1 + 50 * (1 - np.cos(np.linspace(0, 6 * np.pi, 600))) + random.normal(size=600)
     found = runs_of(volume)
