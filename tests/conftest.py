@@ -1,4 +1,4 @@
-"""What the tests share: float64, the reference states, and diagrams that are computed once."""
+"""Shared by the tests: float64, the reference states, and diagrams that are computed once."""
 
 import functools
 import json
@@ -7,7 +7,7 @@ import pathlib
 import shutil
 import tempfile
 
-# One folder of a run, new each time: what one test traces, compiles or builds, the others read, in its other processes too.
+# One cache folder for each run: what one test traces, compiles or builds, other tests and processes of the run read.
 # Set before JAX is imported, and inherited by workers and by the scripts that tests start.
 _OWN = None
 if "DIELECTRIC_JAX_TESTS" not in os.environ:
@@ -34,7 +34,7 @@ def pytest_unconfigure():
 
 @pytest.fixture(autouse=True)
 def few_maps():
-    """Forgets compiled programs before the process meets the system's limit of memory maps (65530 on Linux)."""
+    """Discards compiled programs before the process reaches the system's limit of memory maps (65530 on Linux)."""
     yield
     maps = pathlib.Path("/proc/self/maps")
     if maps.exists() and maps.read_bytes().count(b"\n") > 40_000:

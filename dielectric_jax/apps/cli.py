@@ -1,7 +1,7 @@
 """The command line `dielectric-jax`: single states and diagrams as a table, JSON or a figure.
 
-Bad input is one sentence on standard error and exit status 2; a scene without an answer is its result code's sentence
-and exit status 1. Everything that takes long to import is imported once the input is known to be well formed.
+Bad input gives one sentence on standard error and exit status 2; a scene without an answer gives the sentence of its result code
+and exit status 1. Slow imports happen only after the input has been found to be well formed.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _ATMOSPHERE = 100e3  # Pa; 50 μH/A for the membrane of the paper
 
 
 def _say(text: str) -> None:
-    """Progress, for a person who waits at a terminal."""
+    """Reports progress on a terminal."""
     if sys.stderr.isatty():
         print(text, file=sys.stderr, flush=True)
 
@@ -53,7 +53,7 @@ def _membrane(dj: Any, args: argparse.Namespace) -> Any:
 
 
 def _units(dj: Any, args: argparse.Namespace) -> Any:
-    """The units of --si, None without it; the options' own quantities are made dimensionless."""
+    """The units of --si, None without it; converts the quantities of the options to dimensionless numbers."""
     if not getattr(args, "si", False):
         return None
     from ..model import VACUUM_PERMITTIVITY
@@ -156,7 +156,7 @@ def _run_voltage_volume(dj: Any, args: argparse.Namespace) -> tuple[dict, Callab
             try:
                 curves += _curves(dj, args, scene.membrane, [voltage], surface)
             except SceneError:
-                # a flat film holds voltages at which no inflated state is left: there is no curve to draw
+                # a flat film can have a voltage at which no inflated state exists: there is no curve to draw
                 continue
         return plot_chamber(diagram, curves, units=args.units)
 
@@ -174,7 +174,7 @@ def _run_sweep(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], An
         data = dj.sweep(scene, *axes, **options, executor=executor)
     except KeyboardInterrupt:
         if os.path.exists(args.output):
-            print(f"{PROGRAM}: {args.output!r} keeps what is finished, --resume goes on.", file=sys.stderr)
+            print(f"{PROGRAM}: {args.output!r} keeps what is finished, --resume continues.", file=sys.stderr)
         raise
     seconds = time.perf_counter() - begin
     if args.export is not None:
@@ -207,7 +207,7 @@ def _run_optimise(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[],
 
 def _run_calibrate(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
     units, membrane = args.units, _membrane(dj, args)
-    # of a measurement voltage, noise and atmosphere stay in the units of the pressures, as the document is
+    # voltage, noise and atmospheric pressure of a measurement stay in the units of the pressures, like the document
     outside, voltage = args.atmospheric_pressure, args.voltage
     if units is not None:
         outside, voltage = units.to_si(outside, "atmospheric_pressure"), units.to_si(voltage, "voltage")
@@ -238,7 +238,7 @@ _COMMANDS = {
 
 
 def _in_units(document: dict, units: Any, *, read: bool = False) -> dict:
-    """The document in SI, or in the units people read; as it is without units."""
+    """The document in SI, or in the display units; unchanged without units."""
     if units is None:
         return document
     if "diagrams" in document:
@@ -281,7 +281,7 @@ def _run_paper(args: argparse.Namespace) -> None:
 
 
 def _answer(args: argparse.Namespace) -> None:
-    """Computes and writes what well-formed options ask for."""
+    """Computes and writes the results that well-formed options request."""
     import jax
 
     jax.config.update("jax_enable_x64", True)
@@ -301,7 +301,7 @@ def _answer(args: argparse.Namespace) -> None:
 
 
 def _status(argv: Sequence[str] | None) -> int:
-    """Runs the program and returns its exit status; what it refuses is one sentence on standard error."""
+    """Runs the program and returns its exit status; refusals are one sentence on standard error."""
     try:
         _answer(read_arguments(argv))
     except BadInput as error:
@@ -311,7 +311,7 @@ def _status(argv: Sequence[str] | None) -> int:
         print(f"{PROGRAM}: {error}", file=sys.stderr)
         return 1
     except BrokenPipeError:
-        # the reader of standard output has gone; Python must not try to flush to it at exit
+        # the reader of standard output has closed it; Python must not try to flush to it at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except OSError as error:
@@ -325,8 +325,8 @@ def _status(argv: Sequence[str] | None) -> int:
 
 @contextlib.contextmanager
 def _warnings_as_sentences() -> Iterator[None]:
-    """Within it this package's warnings are sentences on standard error, and overflow in NumPy's arrays, which ends as NaN
-    that the answer tells of, is none.
+    """Prints this package's warnings as sentences on standard error, and ignores overflow in NumPy's arrays, which ends as
+    NaN that the result reports.
     """
 
     def show(message: Warning | str, *_: Any, **__: Any) -> None:

@@ -1,4 +1,4 @@
-"""Questions about designs written down: a file of TOML with a scene, the parameters that vary, and what is wished for."""
+"""Specifications of design problems in TOML files: a scene, the parameters that vary, and the constraints."""
 
 from ..model import Scene, place_of
 from ..numerics import shown
@@ -30,7 +30,7 @@ _WISHES = {
 def read_design_file(path: str, command: str) -> tuple[Scene, dict, dict]:
     """The scene, the ranges of [over], and the options of a file, for "regimes" or "optimise".
 
-    Raises ValueError in one sentence for a file that cannot be read, or holds what is not known.
+    Raises ValueError with one sentence for a file that cannot be read, or that holds unknown entries.
     """
     document = read_toml(path)
     refuse("", document, ("scene", "units", "over", command, *(("uncertain",) if command == "optimise" else ())))

@@ -1,7 +1,7 @@
-"""Sliders beside a diagram: what a chamber, a pressure or a voltage does, redrawn while a slider moves.
+"""Sliders beside a diagram of a chamber, a pressure or a voltage, which is redrawn while a slider moves.
 
-The diagram is read off the surface of each prestretch (`glances`), the axes are kept as a picture, and only the lines on them
-are drawn anew. The picture is a PNG, which every front end of Jupyter shows.
+The diagram is evaluated on the surface of each prestretch by `glance`; the axes are kept as a picture, and only the lines on them
+are redrawn. The picture is a PNG, which every front end of Jupyter can show.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Explorer", "explore"]
 
-#: what a loading holds, as its button says, and the sliders it has besides the prestretch
+#: what a loading holds fixed, as on its button, and its sliders besides the prestretch
 _LOADINGS = {
     "closed chamber": ("chamber_volume", "initial_volume"),
     "constant pressure": ("pressure",),
@@ -44,14 +44,14 @@ _LOADINGS = {
 }
 _WORDS = {name: parameter_of(name).label for name in ("chamber_volume", "initial_volume", "pressure", "prestretch")}
 _WORDS["voltage"] = "voltage Φ / (H√(μ/ε))"
-# least, largest, step, and the value where the scene tells none
+# least, largest, step, and the value if the scene gives none
 _RANGES = {
     "initial_volume": (0.1, 8.0, 0.02, 2.42),
     "pressure": (0.1, 2.5, 0.01, 1.82),
     "voltage": (0.0, 0.25, 0.005, 0.05),
 }
 _DECADES = (1.0, 4.4, 0.02, 1600.0)
-_ROUND = (1.0, 1.25, 1.6, 2.0, 2.5, 3.2, 4.0, 5.0, 6.4, 8.0, 10.0)  # ends of axes, times powers of ten
+_ROUND = (1.0, 1.25, 1.6, 2.0, 2.5, 3.2, 4.0, 5.0, 6.4, 8.0, 10.0)  # limits of axes, times powers of ten
 _MOST_FRAMES = 64
 _WHOLE = "Press “whole diagram” to follow it by shooting."
 
@@ -64,25 +64,25 @@ def explore(
     size: tuple[float, float] = (7.6, 4.6),
     dpi: float = 90.0,
 ) -> Explorer:
-    """Sliders for chamber, filling, pressure, voltage and prestretch beside the diagram they make, for Jupyter.
+    """Sliders for chamber, filling, pressure, voltage and prestretch beside the resulting diagram, for Jupyter.
 
-    Everything is made ready first: a surface for each prestretch (seconds each, or kept in the cache folder), and the programs
-    that read it. Needs the extra `interactive`.
+    Everything is prepared first: a surface for each prestretch (some seconds each, or read from the cache folder), and the
+    compiled programs that evaluate it. Needs the extra `interactive`.
 
     Args:
-        scene: where the sliders begin, and what they leave alone: material, breakdown law, pressure outside, units. The
-            paper's membrane on V_C = 1600, V_0 = 2.42 when None.
-        prestretches: the values of their slider; that of the scene is added.
-        surface: a `SurfaceFamily` over the prestretches, or the `Surface` of the only one; built where it is left out.
-        size: of the picture, in inches.
-        dpi: pixels an inch.
+        scene: the initial values of the sliders, and everything they do not change: material, breakdown law, atmospheric
+            pressure, units. The paper's membrane on V_C = 1600, V_0 = 2.42 when None.
+        prestretches: the values of the prestretch slider; that of the scene is added.
+        surface: a `SurfaceFamily` over the prestretches, or the `Surface` of a single one; built if not given.
+        size: size of the picture in inches.
+        dpi: pixels per inch.
 
     Returns:
-        The explorer; Jupyter shows it as the last value of a cell.
+        The explorer; Jupyter shows it if it is the last value of a cell.
 
     Raises:
-        ValueError: for arguments that are not one of these.
-        ImportError: where ipywidgets is missing.
+        ValueError: for invalid arguments.
+        ImportError: if ipywidgets is not installed.
     """
     need("ipywidgets", "interactive")
     if scene is None:
@@ -111,10 +111,10 @@ def explore(
 
 
 class Explorer:
-    """The widget of `explore`: `controls` by name, the `scene` they tell, what is `seen` of it, and the `axes` it is drawn on.
+    """The widget of `explore`: `controls` by name, the `scene` they select, its result `seen`, and the `axes` it is drawn on.
 
-    `seen` is a `Glance`, or the `Diagram` after the button "whole diagram". `picture` and `message` are the widgets that
-    show it and tell of it.
+    `seen` is a `Glance`, or a `Diagram` after the button "whole diagram". `picture` and `message` are the widgets that
+    show and describe it.
     """
 
     def __init__(self, scene: Scene, prestretches: list[float], surface: Any, size: tuple[float, float], dpi: float):
@@ -142,7 +142,7 @@ class Explorer:
         self.draw()
 
     def draw(self, whole: bool = False) -> None:
-        """Draws what the controls tell; what has no answer is said in `message`."""
+        """Draws the diagram for the controls; errors are shown in `message`."""
         held = _LOADINGS[self.controls["loading"].value]
         for name, words in _WORDS.items():
             if name in self.controls and words:
@@ -157,7 +157,7 @@ class Explorer:
         self.picture.value = self._frame.draw(self.seen)
 
     def _told(self) -> Scene:
-        """The scene that the controls tell."""
+        """The scene selected by the controls."""
         values = {name: control.value for name, control in self.controls.items() if name in _WORDS}
         kind, given = self.controls["loading"].value, self._base.loading
         if kind == "constant pressure":
@@ -184,7 +184,7 @@ class Explorer:
         return voltage_volume(scene, surface=surface)
 
     def _warm_up(self) -> None:
-        """Compiles the programs, and lays the rows of every surface; many chambers, for some need a program more."""
+        """Compiles the programs and builds the rows of every surface; uses many chambers, since some need an extra program."""
         chambers = {"chamber_volume": np.geomspace(20.0, 20000.0, 24), "initial_volume": 2.42}
         air = {"atmospheric_pressure": 50.0, "polytropic_exponent": 1.0}
         given = self._base.loading
@@ -205,7 +205,7 @@ class Explorer:
 
 
 def _controls(widgets: Any, scene: Scene, prestretches: list[float]) -> dict[str, Any]:
-    """The buttons of the loading and the sliders, at the values of a scene."""
+    """The buttons of the loading and the sliders, set to the values of a scene."""
     loading = scene.loading
     kinds = dict(zip(_LOADINGS, (Chamber, ConstantPressure, ConstantVoltage), strict=True))
     kind = next(word for word, cls in kinds.items() if isinstance(loading, cls))
@@ -235,13 +235,13 @@ def _controls(widgets: Any, scene: Scene, prestretches: list[float]) -> dict[str
 
 
 def _ends(low: float, high: float, step: float, value: float) -> dict[str, float]:
-    """The ends of a slider that holds `value` on one of its steps, as a browser rounds to them."""
+    """The limits of a slider that has `value` on one of its steps, because browsers round to steps."""
     first = value - step * max(0, math.floor((value - low) / step))
     return {"min": max(first, min(low, value)), "max": max(high, value), "step": step}
 
 
 class _Frame:
-    """Axes whose ticks and labels are drawn once for every limits, and lines that are drawn on that picture."""
+    """Axes whose ticks and labels are drawn once for each set of limits, and lines that are drawn on that picture."""
 
     def __init__(self, size: tuple[float, float], dpi: float):
         from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -260,7 +260,7 @@ class _Frame:
         self._pictures: dict[tuple, Any] = {}
 
     def draw(self, seen: Any) -> bytes:
-        """The PNG of what was seen; of empty axes for None."""
+        """The PNG of a result; of empty axes for None."""
         axes = self.axes
         for artist in [*axes.lines, *axes.texts]:
             artist.remove()
@@ -295,13 +295,13 @@ def _png(pixels: np.ndarray) -> bytes:
 
 
 def _rounded(end: float) -> float:
-    """The next round number, so that axes stand still while a slider moves."""
+    """The next round number, so that the axes do not change with every move of a slider."""
     power = 10.0 ** math.floor(math.log10(end))
     return next(step for step in _ROUND if step * power >= end * (1 - 1e-9)) * power
 
 
 def _every_entry() -> list:
-    """The legend of all that a diagram may show."""
+    """The legend of everything that a diagram can show."""
     kinds: Any = [types.SimpleNamespace(kind=kind) for kind in ("fold", "zero_voltage", "breakdown")]
     events: Any = [
         types.SimpleNamespace(event=e, direction="up") for e in ("start", "landing", "breakdown", "no_landing", "snap")
@@ -315,7 +315,7 @@ def _every_entry() -> list:
 
 
 def _story(seen: Any) -> str:
-    """What became of the ramp, or the folds of the pressure, as a line of HTML."""
+    """The events of the ramp, or the folds of the pressure, as a line of HTML."""
     view, units = viewed(seen)
     if seen.kind == "pressure-volume":
         name = "" if units is None else f" {units.read_name('pressure')}"
@@ -333,9 +333,9 @@ def _story(seen: Any) -> str:
     if regime not in (Regime.undetermined, Regime.not_decided):
         parts.append(f"regime: <b>{regime.words}</b>")
     if not whole and regime == Regime.not_decided:
-        parts.append(f"the surface alone does not decide this ramp. {_WHOLE}")
+        parts.append(f"the surface alone cannot decide this ramp. {_WHOLE}")
     elif not whole and seen.several:
-        parts.append(f"the curve has gaps where a stretch of the apex belongs to several states. {_WHOLE}")
+        parts.append(f"the curve has gaps where several states have the same apex stretch. {_WHOLE}")
     text = "; ".join(parts)
     return text[:1].upper() + text[1:]
 

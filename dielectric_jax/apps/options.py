@@ -1,4 +1,4 @@
-"""The options of the command line: what they are called, what they allow, and one sentence for what they refuse."""
+"""The options of the command line: their names, their allowed values, and one sentence for each refusal."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _DESCRIPTION = """Equilibria and bifurcation diagrams of a dielectric elastomer 
 Quantities are dimensionless: lengths in A, pressures in μH/A, volumes in A³, voltages in H√(μ/ε); with --si all
 quantities of options and JSON are in SI (Pa, m³, V, V/m for --breakdown), and tables and figures in mbar, ml, kV."""
 
-#: what one means in SI, given with --si only: option, symbol, what it is, and the default
+#: the constants of the units, given with --si only: option, symbol, meaning, and the default
 UNIT_CONSTANTS = {
     "shear_modulus": ("PA", "shear modulus μ in Pa (45e3)"),
     "thickness": ("M", "undeformed thickness H in m (1e-3)"),
@@ -54,7 +54,7 @@ UNIT_CONSTANTS = {
 
 
 def _number(check: Callable[[float], bool], what: str) -> Callable[[str], float]:
-    """A reader of numbers that pass `check`; `what` says what is allowed."""
+    """A parser of numbers that pass `check`; `what` describes the allowed ones."""
 
     def read(text: str) -> float:
         try:
@@ -74,16 +74,16 @@ _finite = _number(lambda v: True, "a finite number")
 _positive = _number(lambda v: v > 0, "a positive finite number")
 _not_negative = _number(lambda v: v >= 0, "zero or a positive finite number")
 _share = _number(lambda v: 0 < v < 1, "a number between 0 and 1")
-# what is divided by a constant of the units must not overflow
+# a division by a constant of the units must not overflow
 _unit = _number(lambda v: 1 / LARGEST <= v <= LARGEST, f"a positive finite number from {1 / LARGEST:g} to {LARGEST:g}")
 _prestretch = _number(lambda v: v >= 1, "a finite number of at least 1")
 
 
 def _whole(least: int, most: int) -> Callable[[str], int]:
-    """A reader of whole numbers between limits."""
+    """A parser of whole numbers between limits."""
 
     def read(text: str) -> int:
-        # not int(text) at once: Python refuses thousands of digits with a sentence of its own
+        # not int(text) directly: Python refuses thousands of digits with its own message
         value = int(text) if re.fullmatch(r"[0-9]{1,18}", text) else -1
         if not least <= value <= most:
             raise argparse.ArgumentTypeError(f"must be a whole number from {least} to {most}, but is {shown(text)}.")
@@ -106,7 +106,7 @@ _ASCII = str.maketrans({"₀": "0", "₁": "1", "₂": "2", "ᵢ": "", "μ": "M"
 
 
 def _add_parameter(group, name: str, of: str = "", value: float | None = None) -> None:
-    """The option of a parameter, as the table of parameters describes it; `value` where it is left out."""
+    """Adds the option of a parameter as the table of parameters describes it; `value` is its default."""
     row = PARAMETERS[name]
     many = {"nargs": "+"} if row.many else {}
     kind = (
@@ -120,7 +120,7 @@ def _add_parameter(group, name: str, of: str = "", value: float | None = None) -
 
 
 def _common() -> Parser:
-    """The options of every command about one membrane: the membrane, its units, and the answer."""
+    """The options of every command about one membrane: the membrane, its units, and the output."""
     common = Parser(add_help=False)
     group = common.add_argument_group("membrane")
     group.add_argument("--material", choices=list(MATERIAL_CONSTANTS), default="gent", help="free energy (gent)")
@@ -132,7 +132,7 @@ def _common() -> Parser:
         "--breakdown", type=_breakdown, default="vhb", metavar="vhb|FIELD", help="law of the breakdown field (vhb)"
     )
     group = common.add_argument_group("units")
-    group.add_argument("--si", action="store_true", help="options and answers in SI")
+    group.add_argument("--si", action="store_true", help="options and results in SI")
     for name, (symbol, what) in UNIT_CONSTANTS.items():
         group.add_argument(_option(name), type=_unit, metavar=symbol, help=what)
     group = common.add_argument_group("answer")
@@ -191,25 +191,25 @@ def _add_voltage_volume(commands, common: Parser) -> None:
 def _add_paper(commands) -> None:
     paper = commands.add_parser(
         "paper",
-        help="the computed figures of Li et al. (2013), and its statements beside what the equations give",
+        help="the computed figures of Li et al. (2013), and its statements compared with what the equations give",
         description="Writes figure_3.png, figure_3.json, … and statements.md, and prints the statements.",
     )
     paper.add_argument(
-        "--output", required=True, metavar="DIR", help="folder to write to; made where its parent exists"
+        "--output", required=True, metavar="DIR", help="folder to write to; created if its parent exists"
     )
     paper.add_argument("--only", nargs="+", action="extend", metavar="FIGURE", help="numbers of figures (all)")
 
 
 def _add_sweep(commands) -> None:
-    many = commands.add_parser("sweep", help="many scenes, kept in a store", description=_DESCRIPTION)
+    many = commands.add_parser("sweep", help="many scenes, saved in a store", description=_DESCRIPTION)
     many.add_argument("specification", metavar="SPEC.toml", help="which scenes, and with which engine")
     many.add_argument("--output", metavar="STORE.zarr", required=True, help="the store, written block by block")
-    many.add_argument("--resume", action="store_true", help="go on with the store where there is one")
-    many.add_argument("--accept-versions", action="store_true", help="… also where other versions began it")
+    many.add_argument("--resume", action="store_true", help="continue an existing store")
+    many.add_argument("--accept-versions", action="store_true", help="… even if other versions began it")
     where = many.add_mutually_exclusive_group()
     where.add_argument("--workers", type=_count, metavar="N", help="compute in N processes (in this one)")
     where.add_argument("--scheduler", metavar="ADDRESS", help="… on the cluster of a Dask scheduler")
-    many.add_argument("--export", metavar="FILE", help="in the end also write a .nc (NetCDF) or .csv file")
+    many.add_argument("--export", metavar="FILE", help="finally also write a .nc (NetCDF) or .csv file")
     many.add_argument(
         "--json", metavar="FILE|-", help="write a summary as JSON to a file, or to standard output with -"
     )
@@ -219,28 +219,26 @@ def _add_calibrate(commands, common: Parser) -> None:
     fit = commands.add_parser(
         "calibrate", parents=[common], help="constants of a measured pressure–volume curve", description=_DESCRIPTION
     )
-    fit.add_argument("data", metavar="DATA.csv", help="columns volume and pressure; with units in the first line --si")
+    fit.add_argument("data", metavar="DATA.csv", help="columns volume and pressure; --si if the first line has units")
+    fit.add_argument("--columns", nargs=2, metavar=("V", "P"), help="the two columns, by heading or position (by name)")
+    fit.add_argument("--column-units", nargs=2, metavar=("V", "P"), help="their units, such as ml kPa (from headings)")
     fit.add_argument(
-        "--columns", nargs=2, metavar=("V", "P"), help="the two columns, by heads or places (by their names)"
-    )
-    fit.add_argument("--column-units", nargs=2, metavar=("V", "P"), help="their units, such as ml kPa (from the heads)")
-    fit.add_argument(
-        "--branch", choices=["loading", "unloading", "all"], help="of a volume that rises and falls (loading)"
+        "--branch", choices=["loading", "unloading", "all"], help="part used if the volume rises and falls (loading)"
     )
     fit.add_argument(
         "--atmospheric-pressure", type=_not_negative, metavar="PATM", help="subtract it from absolute pressures (0)"
     )
     fit.add_argument("--voltage", type=_not_negative, default=0.0, metavar="PHI", help="voltage of the measurement (0)")
-    fit.add_argument("--over", nargs="+", metavar="NAME", help="constants sought (those of the material, and μ in SI)")
+    fit.add_argument("--over", nargs="+", metavar="NAME", help="constants to fit (those of the material, and μ in SI)")
     fit.add_argument("--loss", choices=["linear", "huber", "soft_l1"], default="linear", help="of residuals (linear)")
     fit.add_argument("--noise", type=_positive, metavar="P", help="standard deviation of a pressure (from residuals)")
-    fit.add_argument("--level", type=_share, default=0.95, metavar="P", help="of the confidence intervals (0.95)")
+    fit.add_argument("--level", type=_share, default=0.95, metavar="P", help="level of the confidence intervals (0.95)")
 
 
 def _add_designs(commands) -> None:
     for name, what in (("regimes", "a map of two parameters"), ("optimise", "the design of largest area strain")):
         asked = commands.add_parser(name, help=what, description=_DESCRIPTION)
-        asked.add_argument("specification", metavar="SPEC.toml", help="scene, ranges and wishes")
+        asked.add_argument("specification", metavar="SPEC.toml", help="scene, ranges and constraints")
         asked.add_argument("--json", metavar="FILE|-", help="write JSON to a file, or to standard output with -")
         asked.add_argument("--figure", metavar="FILE", help=f"draw a figure ({', '.join(_FIGURE_SUFFIXES)})")
 
@@ -270,7 +268,7 @@ def _version() -> str:
 
 
 def _check(args: argparse.Namespace) -> None:
-    """Refuses what each option allows alone but not with the others."""
+    """Refuses combinations of options that are allowed individually."""
     if args.command == "paper":
         _check_folder("--output", args.output)
         return
@@ -311,7 +309,7 @@ def _check(args: argparse.Namespace) -> None:
 
 
 def _check_files(args: argparse.Namespace) -> None:
-    """Refuses names that no file can have, and files that cannot be written."""
+    """Refuses invalid file names and files that cannot be written."""
     for name, said in (("specification", "SPEC.toml"), ("data", "DATA.csv")):
         file = getattr(args, name, None)
         if file is not None and not _can_be(file):
@@ -338,7 +336,7 @@ def _check_sweep(args: argparse.Namespace) -> None:
 
 
 def _writable(name: str, folder_of: Callable[[Path], Path | None]) -> bool:
-    """Whether the folder that a name means to be written in, if it means one, is there and can be written."""
+    """Whether the folder that a name refers to, if it refers to one, exists and is writable."""
     if not _can_be(name):
         return False
     folder = folder_of(Path(name))
@@ -346,12 +344,12 @@ def _writable(name: str, folder_of: Callable[[Path], Path | None]) -> bool:
 
 
 def _can_be(name: str) -> bool:
-    """Whether a file of that name can be, whether or not there is one."""
+    """Whether a file of that name is possible, whether or not it exists."""
     try:
         os.lstat(name)
     except (FileNotFoundError, NotADirectoryError):
         return bool(name)
-    except (OSError, ValueError):  # too long, a loop of links, a NUL, characters that the file system does not have
+    except (OSError, ValueError):  # too long, a loop of links, a NUL, characters that the file system does not support
         return False
     return True
 
@@ -376,7 +374,7 @@ def _option(name: str) -> str:
 
 
 def option_names(message: str, args: argparse.Namespace) -> str:
-    """The library's sentence with its arguments' names replaced by the options they came from."""
+    """The library's message with the names of its arguments replaced by those of the options."""
     aliases = {
         "load_fraction": "--load-window",
         "field": "--breakdown",
@@ -403,10 +401,10 @@ def option_names(message: str, args: argparse.Namespace) -> str:
 
 
 def read_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
-    """The options of `argv` (the process's own when None), well formed; raises `BadInput` where they are not."""
+    """The options of `argv` (the process's own when None); raises `BadInput` if they are not well formed."""
     argv = sys.argv[1:] if argv is None else argv
     for word in argv:
-        if re.fullmatch(r"--[a-z0-9-]+=--", word):  # argparse takes the two dashes away and leaves no value at all
+        if re.fullmatch(r"--[a-z0-9-]+=--", word):  # argparse removes the two dashes and leaves no value at all
             raise BadInput(f"{word[:-3]} must be followed by a value, but is followed by '--'.")
     args = _parser().parse_args(argv)
     _check(args)
@@ -414,7 +412,7 @@ def read_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
 
 
 class BadInput(Exception):
-    """Input that is refused; the message is the sentence to print."""
+    """Refused input; the message is the sentence to print."""
 
 
 class Parser(argparse.ArgumentParser):
@@ -461,7 +459,7 @@ def _sentence_of(message: str, prog: str) -> str:
 
 
 def _cut(text: str) -> str:
-    """A quoted value, shortened where it is long, as `codes.shown` does."""
+    """A quoted value, shortened if it is long, as `codes.shown` does."""
     return text if len(text) <= 100 else f"{text[:40]} ... {text[-40:]}"
 
 

@@ -1,7 +1,7 @@
-"""The paper reproduced: its computed figures as scenes and pictures, and its statements beside what the equations give.
+"""The paper reproduced: its computed figures as scenes and pictures, and its statements compared with the equations.
 
 Li, Keplinger, Baumgartner, Bauer, Yang and Suo, J. Mech. Phys. Solids 61 (2013) 611, doi 10.1016/j.jmps.2012.09.006.
-Where the text gives no voltages or pressures, those of `paper_figures` are taken. Nothing is tuned towards a statement.
+If the text gives no voltages or pressures, those of `paper_figures` are used. Nothing is tuned to match a statement.
 """
 
 import json
@@ -18,7 +18,7 @@ __all__ = ["Paper", "reproduce"]
 
 
 class Paper:
-    """The diagrams behind the figures, each computed when it is first asked for."""
+    """The diagrams behind the figures, each computed when it is first requested."""
 
     voltages = (0.0, 0.05, 0.1, 0.15)
 
@@ -54,12 +54,12 @@ class Paper:
         return self._once(("experiment", litres), lambda: voltage_volume(scene))
 
     def profiles(self) -> dict[str, Profile]:
-        """Along the membrane at p = 1.82: before the voltage, at the snap, and at its landing."""
+        """Profiles of the membrane at p = 1.82: before the voltage, at the snap, and at its landing."""
         events = {e.event: e.state for e in self.held(1.82).ramp().events}
         return {word: profile(_film(1.0), events[word]) for word in ("start", "snap", "landing")}
 
     def used(self) -> list[Diagram]:
-        """The diagrams that were asked for since this was asked last."""
+        """The diagrams requested since the last call."""
         used, self._used = list(self._used.values()), {}
         return used
 
@@ -74,13 +74,13 @@ def reproduce(
     *,
     say: typing.Callable[[str], None] = lambda text: None,
 ) -> list[Statement]:
-    """Writes the paper's computed figures, the scenes behind them, and the statements, into a folder that exists.
+    """Writes the paper's computed figures, the scenes behind them, and the statements, to an existing folder.
 
     Args:
-        folder: where `figure_3.png` …, `figure_3.json` … (the documents of the diagrams a figure shows, or rests on)
-            and `statements.md` go.
-        only: numbers of figures; all when None. Statements are those of the figures made.
-        say: told what is being done.
+        folder: for `figure_3.png` …, `figure_3.json` … (the documents of the diagrams a figure shows or is based on)
+            and `statements.md`.
+        only: numbers of figures; all when None. The statements are those about these figures.
+        say: called with a text about the progress.
 
     Returns:
         The statements.

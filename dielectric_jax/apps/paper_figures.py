@@ -1,4 +1,4 @@
-"""The computed figures of Li et al. (2013), drawn in the paper's layout; `paper` computes what they show."""
+"""The computed figures of Li et al. (2013), in the paper's layout; `paper` computes their data."""
 
 from __future__ import annotations
 
@@ -34,17 +34,20 @@ __all__ = ["FIGURES", "fits"]
 
 
 def _letters(axes: Iterable[Axes], titles: Sequence[str] = ()) -> None:
-    """(a), (b), … over the panels, with what each shows."""
+    """Writes (a), (b), … over the panels, with a title for each."""
     for number, ax in enumerate(axes):
         words = titles[number] if number < len(titles) else ""
         ax.set_title(f"({string.ascii_lowercase[number]})  {words}".rstrip(), loc="left", fontsize="medium")
 
 
 def _states(axes: Sequence[Axes], diagram: Any) -> None:
-    """The paper's letters at the states of a ramp: A start, B snap, C landing, D zero voltage on the way back."""
+    """Writes the paper's letters at the states of a ramp: A start, B snap, C landing, D zero voltage on the way back."""
     events = {(e.direction, e.event): e.state for e in diagram.events}
     places = {"A": ("up", "start"), "B": ("up", "snap"), "C": ("up", "landing"), "D": ("down", "end")}
-    below = "Apressure", "Cvoltage"  # A and B lie close together on the line of the air; C beside marks of the curve
+    below = (
+        "Apressure",
+        "Cvoltage",
+    )  # A and B lie close together on the line of the air; C lies beside markers of the curve
     style: dict[str, Any] = {"fontweight": "bold", "textcoords": "offset points", "zorder": 7}
     for ax, name in zip(axes, ("pressure", "voltage"), strict=True):
         for letter, place in places.items():
@@ -81,7 +84,7 @@ def _rows(paper: Any, scenes: Sequence[tuple[str, Any, float]], voltages: Sequen
 
 
 def fits(share: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Equal-biaxial stretches up to a share of the limit, and nominal stresses of Gent and eight-chain (tension fit) in μ."""
+    """Equal-biaxial stretches up to a fraction of the limit, and nominal stresses of Gent and eight-chain (tension fit) in μ."""
     constants = VHB_4910["tension"]
     limit = np.sqrt((constants["stretch_limit"] + 3) / 2)
     stretch = np.linspace(1.0, share * limit, 400)
@@ -156,7 +159,7 @@ def figure_9(paper: Any) -> Figure:
 
 
 def figure_10(paper: Any) -> Figure:
-    """Pressure–volume curves at three prestretches as the model predicts them, in mbar and ml."""
+    """The model's pressure–volume curves at three prestretches, in mbar and ml."""
     figure = new_figure(6.5)
     ax = figure.add_subplot()
     entries, branches = [], []
@@ -181,7 +184,7 @@ def figure_11(paper: Any) -> Figure:
 
 
 def figure_12(paper: Any) -> Figure:
-    """The experiment's chambers as the model predicts them, in kV and ml; (a) is the experiment's clock alone."""
+    """The model's predictions for the experiment's chambers, in kV and ml; (a), not drawn, only shows the experiment over time."""
     figure = new_figure(15.0)
     axes = figure.subplots(1, 3)
     for ax, letter, litres in zip(axes, "bcd", (0.35, 20.0, 300.0), strict=True):

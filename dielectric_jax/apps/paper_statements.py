@@ -1,4 +1,4 @@
-"""What the paper states, beside what the equations give; `paper` computes the diagrams they rest on."""
+"""The paper's statements, compared with what the equations give; `paper` computes the diagrams behind them."""
 
 import typing
 from typing import Any
@@ -13,7 +13,7 @@ __all__ = ["STATEMENTS", "Statement", "statements_table"]
 
 
 class Statement(typing.NamedTuple):
-    """A statement of the paper: where it stands, what it says, what the equations give, a verdict, and its numbers."""
+    """A statement of the paper: its figure, its claim, what the equations give, a verdict, and the numbers."""
 
     figure: str
     claim: str
@@ -22,7 +22,7 @@ class Statement(typing.NamedTuple):
     numbers: dict[str, float]
 
 
-# what becomes of a ramp, in words
+# how a ramp ends, in words
 _FATES = {
     "breakdown in the snap": "breaks down in the snap",
     "no landing": "snaps, and no tensile equilibrium is left to land on",
@@ -36,7 +36,7 @@ def _events(diagram: Diagram, name: str, direction: str = "up") -> list[State]:
 
 
 def _fate(diagram: Diagram) -> str:
-    """What becomes of the ramp up, in words."""
+    """How the ramp up ends, in words."""
     snaps = _events(diagram, "snap")
     reason = str(diagram.area_strain_reason)
     if reason != "breakdown on the branch":
@@ -65,7 +65,7 @@ def _snap_numbers(diagram: Diagram) -> dict[str, float]:
 
 
 def _folds(curve: Diagram) -> list[SpecialPoint]:
-    """Folds in their order along the branches."""
+    """The folds in order along the branches."""
     return sorted((p for p in curve.special_points if p.kind == "fold"), key=lambda p: (p.branch, p.position))
 
 
@@ -74,7 +74,7 @@ def _ruled(supported: bool) -> str:
 
 
 def _ramp_statement(figure: str, claim: str, diagram: Diagram, expected: str) -> Statement:
-    """A statement on what becomes of a ramp."""
+    """A statement about how a ramp ends."""
     fate, numbers = _fate(diagram), _snap_numbers(diagram)
     found = fate
     if "snap_voltage" in numbers:
@@ -259,7 +259,7 @@ def _statements_11(paper: Any) -> list[Statement]:
     monotonic = [v for v, folds in loads.items() if not folds]
     folded = []
     for voltage, folds in loads.items():
-        if folds:  # beyond the second they spiral towards the cone
+        if folds:  # beyond the second fold they spiral towards the cone
             more = f" and {len(folds) - 2} more that spiral to the cone" if len(folds) > 2 else ""
             folded.append(f"{voltage:g} (p = {', '.join(f'{p.pressure:.6g}' for p in folds[:2])}{more})")
     pressures = {f"fold_{v:g}_{i}": p.pressure for v, folds in loads.items() for i, p in enumerate(folds)}

@@ -1,4 +1,4 @@
-"""Text for streams whose encoding lacks characters, such as cp437 or ASCII: what is missing is spelled out."""
+"""Text for streams whose encoding lacks characters, such as cp437 or ASCII: missing characters are spelled out."""
 
 import codecs
 import contextlib
@@ -38,7 +38,7 @@ _SPELLED = {
 
 
 def spelled(character: str) -> str:
-    """A character in ASCII: λ as lambda, µ as u, ² as ^2; what has no such form as an escape.
+    """A character in ASCII: λ as lambda, µ as u, ² as ^2; characters without such a form as an escape.
 
     >>> "".join(map(spelled, "Φ²"))
     'Phi^2'
@@ -65,7 +65,7 @@ codecs.register_error(_HANDLER, _spell_out)
 
 @contextlib.contextmanager
 def readable_streams() -> Iterator[None]:
-    """Within it, standard output and standard error spell out what their encodings lack, unless they are told otherwise."""
+    """Makes standard output and standard error spell out characters that their encodings lack, unless configured otherwise."""
     changed: list[tuple[TextIO, str]] = []
     for stream in (sys.stdout, sys.stderr):
         errors = getattr(stream, "errors", None)
@@ -76,5 +76,5 @@ def readable_streams() -> Iterator[None]:
         yield
     finally:
         for stream, errors in changed:
-            with contextlib.suppress(ValueError, OSError):  # closed meanwhile, or its reader has gone
+            with contextlib.suppress(ValueError, OSError):  # closed in the meantime, or its reader is gone
                 stream.reconfigure(errors=errors)  # pyright: ignore[reportAttributeAccessIssue]

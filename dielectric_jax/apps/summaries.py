@@ -1,4 +1,4 @@
-"""Documents of the command line as tables that people read."""
+"""Documents of the command line as readable tables."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -15,7 +15,7 @@ def _number_text(value: Any) -> str:
 
 
 def _table(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    """Columns under their names, as wide as they need to be."""
+    """Columns under their names, as wide as necessary."""
     cells = [list(header), *([_number_text(v) for v in row] for row in rows)]
     widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
     return "\n".join("  " + "  ".join(c.ljust(w) for c, w in zip(r, widths, strict=True)).rstrip() for r in cells)
@@ -108,7 +108,7 @@ def _unit_of(name: str, units: dict[str, str]) -> str:
 
 
 def _heads(names: Sequence[str], units: dict[str, str]) -> list[str]:
-    """Column heads: the names, with their units where they have one."""
+    """Column headings: the names, with their units if they have one."""
     return [name.replace("_", " ") + (f" [{units[name]}]" if name in units else "") for name in names]
 
 

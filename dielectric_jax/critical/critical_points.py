@@ -1,7 +1,7 @@
 """Critical points of a ramp as differentiable functions of every continuous parameter of its scene.
 
-A search on the host finds the point (`searches`), the implicit function theorem gives its derivatives (`points`): jvp, grad,
-jacobian, hessian and vmap work, also under jit. Outside transformations a point that does not exist raises `SceneError`;
+A search on the host finds the point (`searches`), and the implicit function theorem gives its derivatives (`point_systems`): jvp,
+grad, jacobian, hessian and vmap work, also under jit. Outside transformations a point that does not exist raises `SceneError`;
 inside, or with `throw=False`, its numbers are NaN and its `code` says why.
 """
 
@@ -51,10 +51,10 @@ _STEPS = np.array([48.0, 144.0, 240.0])  # of shots for derivatives, by the diff
 
 
 class CriticalPoint(eqx.Module):
-    """A critical point, dimensionless; NaN where there is none, and then `code`, an integer of `Code`, says why.
+    """A critical point, dimensionless; NaN if there is none, and then `code`, an integer of `Code`, says why.
 
-    `error_estimate` is that of the search: of the located quantity, or of p, V and q. `parameter` is the value of the
-    parameter that a cusp, or the onset of bistability, is a point of.
+    `error_estimate` comes from the search: the error of the located quantity, or of p, V and q. `parameter` is the critical
+    value of the parameter at a cusp or at the onset of bistability.
     """
 
     apex_stretch: Float[Array, ""]
@@ -78,17 +78,17 @@ class CriticalPoint(eqx.Module):
 
 
 def _root(q):
-    """√q, with a derivative also where it is 0 or NaN by choice."""
+    """√q, with a defined derivative also where the value is set to 0 or NaN."""
     positive = q > 0
     root = jnp.sqrt(jnp.where(positive, q, 1.0))
     return jnp.where(positive, root, jnp.where(q == 0, 0.0, jnp.nan))
 
 
 def _host(names: tuple, tree, shapes: list, surface: Surface | None, one: Callable | None):
-    """The search as a function of the leaves of scenes, of the given shapes and common axes before: (…, names, 8).
+    """The search as a function of the leaves of scenes, which have the given shapes after common batch axes: (…, names, 8).
 
-    Rows hold λa, p, q, V, error, code, steps of a shot that resolves the state, and a free parameter. `one` searches a
-    single scene; without it the events of ramps are looked for.
+    Rows hold λa, p, q, V, error, code, the number of steps of a shot that resolves the state, and a free parameter. `one`
+    searches a single scene; without it the events of ramps are searched for.
     """
 
     def search(*leaves):
@@ -131,7 +131,7 @@ def _steps(scenes: Scenes, found, surface: Surface | None) -> np.ndarray:
 
 
 class Found(typing.NamedTuple):
-    """What a search gave for one event: its state, the error and code, the steps that resolve it."""
+    """The result of a search for one event: its state, the error and code, and the steps that resolve it."""
 
     state: Solution
     error: typing.Any
@@ -149,12 +149,12 @@ def check(scene: Scene, surface) -> None:
 
 
 def _inside(tree) -> bool:
-    """Whether a transformation is at work."""
+    """Whether a value is traced by a transformation."""
     return not all(is_concrete(leaf) for leaf in jax.tree.leaves(tree))
 
 
 def find(names: tuple, scene: Scene, surface: Surface | None, one: Callable | None = None) -> dict[str, Found]:
-    """The named points of a scene: numbers without derivatives; see `_host`."""
+    """The named points of a scene, as numbers without derivatives; see `_host`."""
     leaves, tree = jax.tree.flatten(scene)
     leaves = [jax.lax.stop_gradient(leaf) if not is_concrete(leaf) else leaf for leaf in leaves]
     search = _host(names, tree, [np.shape(leaf) for leaf in leaves], surface, one)
@@ -175,7 +175,7 @@ def engine_of(surface: Surface | None, steps) -> AbstractRim:
 
 
 def start_of(scene: Scene, found: Found, surface) -> tuple[Solution, Conditions]:
-    """The state at zero voltage, and the loading's conditions with the filling of a chamber."""
+    """The state at zero voltage, and the loading conditions with the filling of a chamber."""
     loading = scene.loading
     if isinstance(loading, ConstantPressure):
         kind, target = PointKind.pressure, loading.pressure
@@ -194,13 +194,13 @@ def start_of(scene: Scene, found: Found, surface) -> tuple[Solution, Conditions]
 
 
 def raise_if_none(scene: Scene, found: Found, throw: bool) -> None:
-    """Raises what there is to say of a point that does not exist, outside transformations."""
+    """Raises the error of a point that does not exist, outside transformations."""
     if not throw or _inside((scene, found.code)):
         return
     code = Code(int(found.code))
     if code is not Code.ok:
         if code is Code.no_equilibrium:
-            filling(scene, 1e-9)  # has a sentence about the filling
+            filling(scene, 1e-9)  # raises a more specific error about the filling
         raise SceneError(code)
 
 
@@ -220,7 +220,7 @@ def _fold(scene: Scene, name: str, surface, throw: bool) -> CriticalPoint:
     of = found[name]
     engine = engine_of(surface, of.steps)
     state = attach(of.state, theta, PointKind.fold, engine)
-    # the load by first derivatives alone
+    # the load from first derivatives alone
     state = state._replace(voltage_squared=attach_free(of.state.voltage_squared, of.state, theta, engine))
     return point_of(scene, of, state, throw)
 
@@ -238,9 +238,9 @@ def _fold_voltage(scene: Scene, name: str, surface):
 def snap_voltage(scene: Scene, *, surface: Surface | None = None):
     """The voltage of the first fold of the stable branch on the ramp up, also past breakdown.
 
-    dq/dθ = −(ψ·F_θ)/(ψ·F_q), ψ the left null vector of the equations' Jacobian at the fold: first derivatives only. A
-    `surface` of the scene's membrane makes batches quick. Raises SceneError where there is no fold; inside transformations
-    it is NaN there.
+    Its derivative dq/dθ = −(ψ·F_θ)/(ψ·F_q), with ψ the left null vector of the equations' Jacobian at the fold, needs first
+    derivatives only. A `surface` of the scene's membrane makes batches fast. Raises SceneError if there is no fold; inside
+    transformations the result is NaN instead.
 
     >>> import jax
     >>> from dielectric_jax import Chamber, Membrane
@@ -255,12 +255,12 @@ def snap_voltage(scene: Scene, *, surface: Surface | None = None):
 
 
 def snap_point(scene: Scene, *, surface: Surface | None = None, throw: bool = True) -> CriticalPoint:
-    """The fold of `snap_voltage` as a state; its place moves by second derivatives of the shot."""
+    """The fold of `snap_voltage` as a state; its derivatives need second derivatives of the shot."""
     return _fold(scene, "snap", surface, throw)
 
 
 def snap_back_voltage(scene: Scene, *, surface: Surface | None = None):
-    """The voltage of the first fold on the ramp down from the last landing; as `snap_voltage`."""
+    """The voltage of the first fold on the ramp down from the last landing; otherwise like `snap_voltage`."""
     return _fold_voltage(scene, "snap_back", surface)
 
 
@@ -272,7 +272,7 @@ def snap_back_point(scene: Scene, *, surface: Surface | None = None, throw: bool
 def landing_point(scene: Scene, *, surface: Surface | None = None, throw: bool = True) -> CriticalPoint:
     """The state on which the first snap of the ramp up lands: stable, at the voltage of the snap.
 
-    Its load moves with the snap, so its state too. It jumps where another state becomes the nearest stable one.
+    Its load changes with that of the snap. The state jumps where another state becomes the nearest stable one.
     """
     check(scene, surface)
     found = find(("start", "snap", "landing"), scene, surface)
@@ -295,7 +295,8 @@ def _select(choice, one: Solution, other: Solution) -> Solution:
 def _breakdown(theta: Conditions, found, surface) -> Solution:
     """The state at breakdown, on the branch or in the snap.
 
-    What is not selected holds the other's state: so its matrices are finite, and the reverse pass multiplies no NaN by 0.
+    The case that is not selected uses the other's state, so that its matrices are finite and the reverse pass does not
+    multiply NaN by 0.
     """
     broken = found["breakdown"]
     in_snap = _in_snap(found)
@@ -307,7 +308,7 @@ def _breakdown(theta: Conditions, found, surface) -> Solution:
 
 
 def _in_snap(found):
-    """Whether the landing is broken, so that breakdown is there."""
+    """Whether the landing lies beyond breakdown, so that the membrane breaks down in the snap."""
     one, other = found["landing"], found["breakdown"]
     return (one.code == int(Code.ok)) & (one.state.apex_stretch == other.state.apex_stretch)
 
@@ -328,8 +329,8 @@ def breakdown_voltage(scene: Scene, *, surface: Surface | None = None):
 def area_strain(scene: Scene, *, surface: Surface | None = None):
     """(λa at breakdown / λa at the start of the ramp up)² − 1; with breakdown in the snap, or no landing, λa at the snap.
 
-    Where the ramp ends at the window's edge the strain is the window's, not the membrane's: SceneError, or NaN inside
-    transformations; the diagram tells it.
+    If the ramp ends at the window's edge, the strain would be a property of the window, not of the membrane: raises
+    SceneError, or gives NaN inside transformations. The diagram reports that strain.
     """
     check(scene, surface)
     found = find(("start", "snap", "landing", "breakdown"), scene, surface)
@@ -339,7 +340,7 @@ def area_strain(scene: Scene, *, surface: Surface | None = None):
     held = _in_snap(found) | lost
     of = broken._replace(code=jnp.where(lost, snap.code, broken.code))
     raise_if_none(scene, of, True)
-    # each system holds a state that is there, see `_breakdown`
+    # each system uses a state that exists, see `_breakdown`
     at_fold = _select(held, snap.state, broken.state)
     at_end = _select(held, snap.state, broken.state)
     engine = engine_of(surface, jnp.where(held, snap.steps, broken.steps))

@@ -1,7 +1,7 @@
-"""Critical points of a membrane's sheet: peak and valley of the pressure, zero-voltage states, bistability, and cusps.
+"""Critical points on the manifold of equilibria: pressure peak and valley, zero-voltage states, bistability, and cusps.
 
-As in `critical_points`: differentiable functions of every continuous parameter; a point that does not exist raises outside
-transformations, and is NaN inside or with `throw=False`.
+As in `critical_points`, these are differentiable functions of every continuous parameter; a point that does not exist raises
+outside transformations, and is NaN inside or with `throw=False`.
 """
 
 import typing
@@ -86,7 +86,7 @@ def _check(scene, kinds) -> None:
 
 
 def zero_voltage_point(scene: Scene, number: int = 0, *, throw: bool = True) -> CriticalPoint:
-    """The state at zero voltage of a given `number` by rising volume, stable or not, of all in the window; −1 is the last.
+    """The state at zero voltage with the given `number` in order of volume, stable or not, in the window; −1 is the last.
 
     >>> scene = Scene(Membrane(), Chamber(volume=1600.0, initial_volume=2.42))
     >>> round(float(zero_voltage_point(scene, -1).volume), 9)
@@ -108,7 +108,7 @@ def zero_voltage_point(scene: Scene, number: int = 0, *, throw: bool = True) -> 
 
 
 def _of_chamber(scene: Scene, search: typing.Callable):
-    """The start, the conditions, and what `search` finds from membrane, chamber and filling."""
+    """The start, the conditions, and the result of `search` for membrane, chamber and filling."""
     _check(scene, (Chamber,))
 
     def one(scene):
@@ -125,17 +125,17 @@ def _of_chamber(scene: Scene, search: typing.Callable):
 def bistability_point(scene: Scene, *, throw: bool = True) -> CriticalPoint:
     """Where a second stable state at zero voltage first appears as the chamber grows; `parameter` is that chamber's volume.
 
-    It has a fold at zero voltage. The chamber volume of `scene` plays no part.
+    It has a fold at zero voltage. The chamber volume of `scene` is ignored.
     """
     of, theta, free, engine = _of_chamber(scene, onset)
     state = attach(of.state, theta, PointKind.onset, engine, free)
-    # the volume by first derivatives alone
+    # the volume from first derivatives alone
     state = state._replace(free=attach_free(of.state.free, of.state, theta, engine, free))
     return point_of(scene, of, state, throw)
 
 
 def bistability_onset(scene: Scene):
-    """The chamber volume from which there are two stable states at zero voltage, see `bistability_point`.
+    """The smallest chamber volume with two stable states at zero voltage, see `bistability_point`.
 
     >>> scene = Scene(Membrane(), Chamber(volume=1600.0, initial_volume=2.42))
     >>> round(float(bistability_onset(scene)), 6)
@@ -147,9 +147,9 @@ def bistability_onset(scene: Scene):
 def cusp(
     scene: Scene, number: int = 0, *, within: tuple[float, float] = (250.0, 1e5), throw: bool = True
 ) -> CriticalPoint:
-    """A cusp of the folds of q over the chamber's volume, where two of them merge: by its `number` among those `within`.
+    """A cusp, at which two folds of q merge as the chamber's volume changes: the one with this `number` among those `within`.
 
-    `parameter` is the volume of the chamber. Cusps are numbered by rising volume.
+    `parameter` is the volume of the chamber. Cusps are numbered in order of volume.
     """
 
     def search(membrane, loading, filled):
@@ -163,9 +163,9 @@ def cusp(
 def pressure_cusp(
     membrane: Membrane, voltage=0.0, *, within: tuple[float, float] = (1.0, 4.0), throw: bool = True
 ) -> CriticalPoint:
-    """Where peak and valley of the pressure merge as the prestretch grows: `parameter` is that prestretch.
+    """The point where peak and valley of the pressure merge as the prestretch grows; `parameter` is that prestretch.
 
-    The prestretch of `membrane` plays no part.
+    The prestretch of `membrane` is ignored.
     """
     scene = Scene(membrane, ConstantVoltage(voltage))
     load = scene.loading.voltage**2  # pyright: ignore[reportAttributeAccessIssue]

@@ -1,7 +1,7 @@
 """Critical points on lines of the chart at one load: extremes of the pressure, zero-voltage states, bistability, cusps.
 
-At a given q the states form one curve over λa. The explicit map gives it on nodes, splines between them the point, Newton on
-the equations of `points` makes it exact. Nothing here is differentiated.
+At a given q the states form one curve over λa. The explicit map gives it on nodes, splines between the nodes locate the point, and
+Newton on the equations of `point_systems` makes it exact. Nothing here is differentiated.
 """
 
 import dataclasses
@@ -32,15 +32,15 @@ from .rim import ShotRim
 __all__ = ["chamber_cusps", "onset", "pressure_cusp", "pressure_extremes", "settle", "zero_states"]
 
 _NODES, _STEPS = 200, 96.0
-_MOST_LOAD = 0.95  # of t: further on folds crowd towards the cone
+_MOST_LOAD = 0.95  # of t: beyond it folds accumulate towards the cone
 _FINE = 12  # points between two nodes
-_RIMS = 0.125  # between the prestretches on which the cusp of the pressure is sought
+_RIMS = 0.125  # between the prestretches at which the cusp of the pressure is searched for
 _GRIDS = (48.0, 96.0)
 _SAFETY, _LEAST = 16.0, 1e-13
 
 
 class Line:
-    """p and V of a membrane at the load q over λa, as splines of the node's number."""
+    """p and V of a membrane at the load q over λa, as splines over the node number."""
 
     def __init__(self, membrane: Membrane, q: float):
         self.membrane, self.q = membrane, float(q)
@@ -64,12 +64,12 @@ class Line:
         self.fine = np.linspace(0, b - a - 1, (b - a - 1) * _FINE + 1)
 
     def at(self, place):
-        """λa, p, V at places of the line."""
+        """λa, p, V at positions on the line."""
         stretch, p, v = np.exp(self.spline(place))
         return float(self.membrane.prestretch) + stretch, p, v
 
     def roots(self, function) -> list[float]:
-        """Places where a function of the place vanishes, in order."""
+        """Positions where a function of the position vanishes, in order."""
         values = function(self.fine)
         crossing = np.flatnonzero(np.isfinite(values[:-1]) & np.isfinite(values[1:]) & (values[:-1] * values[1:] < 0))
         return [brentq(function, self.fine[i], self.fine[i + 1], xtol=1e-12) for i in crossing]  # pyright: ignore
@@ -81,14 +81,14 @@ def _line(key: MembraneKey, q: float) -> Line:
 
 
 def line_of(membrane: Membrane, q: float) -> Line:
-    """The line of a membrane at a load; the last ones are kept, for chambers share them."""
+    """The line of a membrane at a load; recent lines are cached because chambers share them."""
     return _line(MembraneKey.of(membrane), float(q))
 
 
 def settle(kind: PointKind, u, theta: Conditions, free: int | None = None, value: float = 0.0):
-    """Newton on the equations of a kind from u = (λa, p, q) and the free leaf's value; then once more on a finer grid.
+    """Newton on the equations of a kind from u = (λa, p, q) and the free leaf's value; then again on a finer grid.
 
-    Returns (λa, p, q, V, error, code, free), NaN with a code where it does not settle.
+    Returns (λa, p, q, V, error, code, free), NaN with a code if it does not converge.
     """
     scale = np.concatenate([SCALE, [abs(value) or 1.0]])
     x, begin = np.array([*u, value], float), np.array([*u, value], float)
@@ -127,7 +127,7 @@ def settle(kind: PointKind, u, theta: Conditions, free: int | None = None, value
 
 
 def none(code: Code) -> np.ndarray:
-    """No such point, and why."""
+    """The row of a point that does not exist, with the code that says why."""
     return np.array([np.nan] * 5 + [float(code), np.nan])
 
 
@@ -152,7 +152,7 @@ def pressure_extremes(membrane: Membrane, q: float) -> dict[str, np.ndarray]:
 
 
 def zero_states(membrane: Membrane, condition: LoadingCondition) -> list[np.ndarray]:
-    """Every state at zero voltage under a loading, by rising λa."""
+    """Every state at zero voltage under a loading, in order of λa."""
     line = line_of(membrane, 0.0)
     if not line.length:
         return []
@@ -162,7 +162,7 @@ def zero_states(membrane: Membrane, condition: LoadingCondition) -> list[np.ndar
 
 
 def leaf_of(theta: Conditions, name: str) -> int:
-    """The number of the leaf of θ that holds a parameter, the membrane's prestretch or one of its contour."""
+    """The number of the leaf of θ that holds a parameter: the membrane's prestretch or one of its loading condition."""
     if name == "prestretch":
         return len(jax.tree.leaves(theta.membrane.material))
     fields = [field.name for field in dataclasses.fields(LoadingCondition)]
@@ -170,7 +170,7 @@ def leaf_of(theta: Conditions, name: str) -> int:
 
 
 def _volume_through(loading: Chamber, filled, p, v):
-    """The volume of the chamber that a state (p, V) shares with the filling (p_0, V_0)."""
+    """The chamber volume for which (p, V) satisfies the loading condition with the filling (p_0, V_0)."""
     outside, power = float(loading.atmospheric_pressure), 1 / float(loading.polytropic_exponent)
     a0, a = (filled[0] + outside) ** power, (p + outside) ** power
     with np.errstate(all="ignore"):
@@ -178,7 +178,7 @@ def _volume_through(loading: Chamber, filled, p, v):
 
 
 def onset(membrane: Membrane, loading: Chamber, filled) -> np.ndarray:
-    """The least volume of the chamber with a second stable state at zero voltage: a tangency at q = 0."""
+    """The smallest chamber volume with a second stable state at zero voltage: a tangency at q = 0."""
     line = line_of(membrane, 0.0)
     if not line.length:
         return none(Code.no_bistability)
@@ -206,12 +206,12 @@ def pressure_cusp(membrane: Membrane, q: float, within: tuple[float, float]) -> 
     low, high = within
 
     def gap(rim: float):
-        """How far the slope of log p falls below zero between peak and valley, and where it is least."""
+        """The least slope of log p between peak and valley, and where it occurs."""
         own = Membrane(membrane.material, rim, membrane.breakdown)
         line = line_of(own, q)
         if not line.length:
             return np.nan, None
-        # by log λa: a smooth parametrisation without the nodes' crowding
+        # by log λa: a smooth parametrisation, unlike the graded nodes
         rate = line.spline.derivative()(line.fine)
         apex, p, _ = line.at(line.fine)
         slope = rate[1] / (rate[0] * (apex - rim) / apex)
@@ -240,10 +240,10 @@ def pressure_cusp(membrane: Membrane, q: float, within: tuple[float, float]) -> 
 
 
 def chamber_cusps(membrane: Membrane, loading: Chamber, filled, within: tuple[float, float]) -> list[np.ndarray]:
-    """Cusps of the folds over the chamber's volume, by rising volume.
+    """Cusps of the folds over the chamber's volume, in order of volume.
 
-    Where the chamber through a state, as a function of λa at a given q, has an extreme, that chamber has a fold; where two
-    extremes merge as q changes, two folds do.
+    For each state at a given q there is one chamber volume whose loading condition it satisfies, a function of λa. Where it
+    has an extremum, that chamber has a fold; where two extrema merge as q changes, two folds merge.
     """
     low, high = within
     top = float(largest_load(membrane.material, np.array([float(membrane.lock_up_stretch()[0]) * 0.9]))[0])
@@ -255,7 +255,7 @@ def chamber_cusps(membrane: Membrane, loading: Chamber, filled, within: tuple[fl
         extremes = []
         if line.length:
             apex, p, v = line.at(line.fine)
-            share = 1 / _volume_through(loading, filled, p, v)  # smooth where the chamber is endless
+            share = 1 / _volume_through(loading, filled, p, v)  # smooth where the chamber is infinite
             valid = (share > 0.5 / high) & (share < 2 / low) & (v > filled[1] * 1.0001)
             rise = np.diff(share)
             turn = np.flatnonzero((rise[:-1] * rise[1:] < 0) & valid[:-2] & valid[1:-1] & valid[2:]) + 1

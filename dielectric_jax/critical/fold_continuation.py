@@ -34,19 +34,19 @@ __all__ = ["LARGEST_LOAD", "ConditionsOver", "Followed", "Lost", "Place", "Syste
 
 _GRIDS = ((48.0, 96.0), (144.0, 240.0), (240.0, 320.0))  # of shots, by the difficulty of the state
 _SAFETY, _LEAST = 16.0, 1e-12
-_SETTLED, _AGREED = 1e-6, 1e-7  # Newton's last moves on the coarser grid and on the finer
+_SETTLED, _AGREED = 1e-6, 1e-7  # Newton's last steps on the coarser grid and on the finer
 _FIRST, _LARGEST, _SMALLEST = 0.02, 0.3, 1e-5  # steps, in scaled unknowns
 _MOST_TURN, _MOST_OFFSET = 0.25, 0.1  # radians; and of the step
 _MOST_POINTS = 2000
-_LEAP = 0.05  # of λa of the filling from one point to the next: it is another branch's
-_ON = 1e-9  # of a level, in scaled unknowns
-_PLACE = 1e-12  # of a point between two, as a share of the way
-LARGEST_LOAD = SCANNED_LOAD  # of t: beyond it folds crowd towards the cone, without end
-_LOG_FROM = 4.0  # the ratio of bounds from which the parameter is followed in its logarithm
+_LEAP = 0.05  # change of λa of the filling from one point to the next: beyond it, it is on another branch
+_ON = 1e-9  # distance from a level, in scaled unknowns
+_PLACE = 1e-12  # tolerance of a point between two, as a fraction of the distance
+LARGEST_LOAD = SCANNED_LOAD  # of t: beyond it infinitely many folds accumulate towards the cone
+_LOG_FROM = 4.0  # the ratio of bounds above which the parameter is followed in its logarithm
 
 
 class Place(typing.NamedTuple):
-    """A point of a curve: scaled unknowns, unit tangent, V, E/E_EB, t = q/q_max(λa), the error of what is located.
+    """A point of a curve: scaled unknowns, unit tangent, V, E/E_EB, t = q/q_max(λa), and the error of the located quantity.
 
     `filling` is λa of the state that fills the chamber.
     """
@@ -61,7 +61,7 @@ class Place(typing.NamedTuple):
 
 
 class Lost(RuntimeError):
-    """Newton has not met the curve."""
+    """Newton has not converged to the curve."""
 
 
 class _NoFilling(Lost):
@@ -70,7 +70,7 @@ class _NoFilling(Lost):
 
 @functools.cache
 def _conditions_program(name: str) -> Callable:
-    """`_conditions_at` of a parameter, as a program."""
+    """`_conditions_at` of a parameter, as a compiled program."""
 
     def conditions_at(scene, start, value):
         return _conditions_at(name, scene, start, value)
@@ -79,7 +79,7 @@ def _conditions_program(name: str) -> Callable:
 
 
 def _conditions_at(name: str, scene: Scene, start: Found | None, value):
-    """θ at a value of a parameter, from the state that fills the chamber there; and its derivative by the parameter."""
+    """θ at a value of a parameter, from the state that fills the chamber there, and its derivative by the parameter."""
 
     def conditions(value):
         own = scene.replace(**{name: value})
@@ -94,7 +94,7 @@ def _conditions_at(name: str, scene: Scene, start: Found | None, value):
 
 
 class ConditionsOver:
-    """θ, the equations' parameters, of a scene at a value of one of its parameters, and its derivative by that."""
+    """θ, the parameters of the equations, of a scene as a function of one scene parameter, and its derivative."""
 
     def __init__(self, scene: Scene, name: str):
         self.scene, self.name = scene, name
@@ -109,7 +109,7 @@ class ConditionsOver:
         self._fillings: dict[float, Found] = {}
 
     def begin_anew(self) -> None:
-        """Forgets the last filling, which may be another branch's; one that does not move stays."""
+        """Discards the last filling, which may be on another branch; a filling that does not depend on the parameter stays."""
         if self.moves:
             self.start, self._known = None, {}
 
@@ -119,7 +119,7 @@ class ConditionsOver:
         return math.nan if self.start is None else float(self.start.state.apex_stretch)
 
     def check_filling(self) -> None:
-        """Raises where another state fills the chamber than the one that was followed: of several at p_0 the smallest does."""
+        """Raises if the followed state no longer fills the chamber: of several states at p_0 the one of smallest volume does."""
         if self.start is None or not self.moves:
             return
         scene = self.scene.replace(**{self.name: self.value})
@@ -132,9 +132,10 @@ class ConditionsOver:
             raise _NoFilling
 
     def at(self, value: float, steps: float):
-        """θ and dθ as (leaves that move, their rates).
+        """θ and dθ as (leaves that change, their rates).
 
-        The filling is a state of shots of so many steps: so what they miss is in the moves from grid to grid.
+        The filling is computed by shots with the same number of steps, so that Newton's steps from grid to grid include its
+        discretisation error.
         """
         if self.value != value:
             self.value, self._known = value, {}
@@ -150,7 +151,7 @@ class ConditionsOver:
         return theta, moving, np.concatenate([rates[k] for k in moving]) if moving else np.zeros(0)
 
     def _filled(self, value: float, steps: float) -> Found:
-        """The state that fills the chamber, from the last one."""
+        """The state that fills the chamber, found from the last one."""
         if not self.moves and steps in self._fillings:
             return self._fillings[steps]
         scene = self.scene.replace(**{self.name: value})
@@ -171,7 +172,7 @@ class ConditionsOver:
 
 
 def _settled(kind: PointKind, last: Solution, held: Conditions, steps: float) -> Solution | None:
-    """The state of a kind near the last one, by shots of so many steps; None where Newton does not settle."""
+    """The state of a kind near the last one, by shots of so many steps; None if Newton does not converge."""
     u, engine = np.array([float(v) for v in last[:3]]), ShotRim(np.asarray(steps))
     for _ in range(8):
         value, by_u = (np.asarray(v) for v in linearised(kind, (), engine, u, held)[:2])
@@ -194,12 +195,12 @@ def _fill(scene: Scene) -> Found:
 
 
 def _floats(theta: Conditions) -> Conditions:
-    """The same with arrays for leaves, so that programs are shared."""
+    """The same conditions with arrays for leaves, so that compiled programs are shared."""
     return jax.tree.map(lambda v: jnp.asarray(v, float), theta)
 
 
 class System:
-    """The equations of a kind of curve in scaled unknowns z = (λa, p, q, w), w the place of the parameter within its bounds."""
+    """The equations of a kind of curve in scaled unknowns z = (λa, p, q, w), with w the parameter scaled to its bounds."""
 
     def __init__(self, kind: PointKind, conditions: ConditionsOver, within: tuple[float, float]):
         self.kind, self.conditions, self.within = kind, conditions, within
@@ -216,7 +217,7 @@ class System:
         return self.value(w) * math.log(high / low) if self.logarithmic else high - low
 
     def linear(self, z: np.ndarray, steps: float):
-        """F (3,), its Jacobian (3, 4) by z, rows scaled, and V."""
+        """F (3,), its Jacobian (3, 4) by z, with rows scaled, and V."""
         theta, moving, rates = self.conditions.at(self.value(z[3]), steps)
         self.membrane = theta.membrane
         value, by_u, by_theta = linearised(self.kind, moving, ShotRim(np.asarray(steps)), z[:3] * SCALE, theta)
@@ -232,7 +233,7 @@ class System:
     def correct(self, z: np.ndarray, row: np.ndarray, target: float, towards, reach=0.3, finer=0) -> Place:
         """The point of the curve with row·z = target near z; its tangent points `towards`. Raises Lost.
 
-        The tangent is that before Newton's last move, which a grid further on makes smaller (`finer`).
+        The tangent is the one before Newton's last step. `finer` moves on to finer grids, which make that step smaller.
         """
         begin, length = z, float(np.linalg.norm(row))
         row, target = row / length, target / length
@@ -252,12 +253,12 @@ class System:
                 except np.linalg.LinAlgError:
                     raise Lost from None
                 z, size = z + move, float(np.abs(move).max())
-            if size < _AGREED:  # the finer grid finds what is left of Newton, and the coarser one's error
+            if size < _AGREED:  # the finer grid shows the remaining Newton step and the error of the coarser grid
                 return self._place(z, tangent * (-1.0 if tangent @ towards < 0 else 1.0), volume, move)
         raise Lost
 
     def relative(self, z: np.ndarray, move: np.ndarray) -> float:
-        """A move of z as that of the control and of the parameter, relative; the greater of the two."""
+        """The relative change of the control or of the parameter for a step of z, whichever is larger."""
         k = self.control
         of_control = abs(move[k]) * SCALE[k] / max(abs(z[k] * SCALE[k]), 1e-3)
         return max(of_control, abs(move[3] * self.rate(z[3]) / self.value(z[3])))
@@ -271,9 +272,10 @@ class System:
 
 
 def _between(system: System, one: Place, other: Place, function: typing.Any) -> Place:
-    """The point between two of a curve at which a function of a place vanishes.
+    """The point between two points of a curve at which a function of a place vanishes.
 
-    A pair (unknown, value) stands for the level of one unknown, which is met by Newton; others by Brent's method.
+    A pair (unknown, value) stands for the level of one unknown, which is reached by Newton; other functions are solved by
+    Brent's method.
     """
     if isinstance(function, tuple):
         column, level = function
@@ -295,7 +297,7 @@ def _between(system: System, one: Place, other: Place, function: typing.Any) -> 
 
 
 class Followed(typing.NamedTuple):
-    """A curve: its places in order, why it ends on either side, places at levels of the parameter, and its points by kind."""
+    """A curve: its places in order, why it ends on either side, places at levels of the parameter, and special points by kind."""
 
     places: list[Place]
     ends: tuple[str, str]
@@ -304,7 +306,7 @@ class Followed(typing.NamedTuple):
 
 
 def follow(system: System, start: Place, levels: np.ndarray, largest_ratio: float) -> Followed:
-    """The curve through `start`, both ways; it is met exactly where w takes one of `levels`."""
+    """The curve through `start` in both directions, with exact places where w takes one of `levels`."""
     ahead, end, crossed, met = _one_way(system, start, 1.0, levels, largest_ratio)
     if end == "closed":
         return Followed(ahead, (end, end), crossed, met)
@@ -313,7 +315,7 @@ def follow(system: System, start: Place, levels: np.ndarray, largest_ratio: floa
 
 
 def _one_way(system: System, start: Place, sense: float, levels: np.ndarray, largest_ratio: float):
-    """The places from `start` on, why there are no more, the crossings and the points."""
+    """The places from `start` on, why the curve ends, the crossings and the special points."""
     places, crossings, points = [start._replace(tangent=sense * start.tangent)], [], []
     step, bend = _FIRST, np.zeros(4)
     while len(places) < _MOST_POINTS:
@@ -327,13 +329,13 @@ def _one_way(system: System, start: Place, sense: float, levels: np.ndarray, lar
             there = ahead
             turn = math.acos(min(1.0, there.tangent @ here.tangent))
             offset = float(np.linalg.norm(there.z - guess)) / step
-            # a law of breakdown may have a kink, and its curve a corner
+            # a breakdown law may have a kink, and its curve a corner
             corner = system.kind == PointKind.breakdown and step < 4 * _SMALLEST
             if (turn <= _MOST_TURN and offset <= _MOST_OFFSET) or corner:
                 passed = _passed(system, here, there, levels, largest_ratio, end)
         except _NoFilling:
             lost = "no_filling"
-        except (Lost, SceneError, ValueError):  # the curve, or the scene, is not there: a shorter step tells where
+        except (Lost, SceneError, ValueError):  # the curve or scene does not exist there: a shorter step
             pass
         if passed is None:
             step /= 2
@@ -360,7 +362,7 @@ def _one_way(system: System, start: Place, sense: float, levels: np.ndarray, lar
 
 
 def _ahead(system: System, here: Place, step: float, bend) -> tuple[Place | None, np.ndarray, str]:
-    """The next place, its prediction, and which bound it lies on, if it does; None where a bound is here already."""
+    """The next place, its prediction, and the bound it lies on, if any; None if the curve is at a bound already."""
     guess = here.z + step * here.tangent + step**2 / 2 * bend
     if 0 <= guess[3] <= 1:
         there = system.correct(guess, here.tangent, here.tangent @ guess, here.tangent, 2 * step)
@@ -375,12 +377,12 @@ def _ahead(system: System, here: Place, step: float, bend) -> tuple[Place | None
 
 
 def _passed(system: System, here: Place, there: Place, levels: np.ndarray, largest_ratio: float, end: str):
-    """What lies between two places and the second, in order; crossings, points, and why the curve ends there, if it does."""
+    """The places between two, and the second, in order; crossings, special points, and why the curve ends there, if it does."""
     control = system.control
     found: list[Place] = []
     crossings: list[tuple[int, Place]] = []
     points: list[tuple[str, Place]] = []
-    # what ends the curve comes first: nothing beyond it is told
+    # the end of the curve comes first: nothing beyond it is reported
     for reason, function in (
         ("zero_voltage", lambda p: p.z[2]),
         ("largest_ratio", lambda p: largest_ratio - p.ratio),

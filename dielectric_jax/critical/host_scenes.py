@@ -1,4 +1,4 @@
-"""Scenes told by the numbers in the leaves of their pytrees: how a transformed function hands many of them to the host."""
+"""Scenes represented by the leaves of their pytrees, as a transformed function passes many of them to the host."""
 
 import dataclasses
 import typing
@@ -16,9 +16,9 @@ __all__ = ["Scenes"]
 
 @dataclasses.dataclass(frozen=True)
 class Scenes(Sequence):
-    """Scenes of one kind: for every leaf of their pytree an array whose first axis counts them.
+    """Scenes of one kind: for every leaf of their pytree an array whose first axis runs over the scenes.
 
-    Built one by one when asked for.
+    A scene is built when it is indexed.
     """
 
     tree: typing.Any
@@ -26,7 +26,7 @@ class Scenes(Sequence):
 
     @staticmethod
     def of(tree, shapes: list[tuple], leaves) -> tuple["Scenes", tuple]:
-        """From leaves (…, *shape) of common leading axes, and those axes."""
+        """The scenes of leaves (…, *shape) with common leading axes, and the shape of those axes."""
         leaves = [np.asarray(leaf, float) for leaf in leaves]
         leading = np.broadcast_shapes(
             *(leaf.shape[: leaf.ndim - len(s)] for leaf, s in zip(leaves, shapes, strict=True))
@@ -43,11 +43,11 @@ class Scenes(Sequence):
         return Scenes(self.tree, [leaf[which] for leaf in self.leaves])
 
     def stacked(self) -> Scene:
-        """One scene whose leaves are columns."""
+        """One scene whose leaves are columns over the scenes."""
         return jax.tree.unflatten(self.tree, self.leaves)
 
     def admissible(self, surface: Surface | None) -> np.ndarray:
-        """For each the code of what is wrong with its numbers, which were unknown when it was written down."""
+        """For each scene the code of what is wrong with its numbers, which were traced when the scene was constructed."""
         code = np.full(len(self), int(Code.ok))
         if surface is not None:
             own, tree = jax.tree.flatten(surface.membrane)
@@ -68,14 +68,14 @@ class Scenes(Sequence):
             value = getattr(loading, name)
             if value is not None:
                 good &= (value >= 0) if name in ("atmospheric_pressure", "voltage") else (value > 0)
-        if surface is None:  # else the membrane is the surface's
+        if surface is None:  # otherwise the membrane is that of the surface
             for i in np.flatnonzero(good):
                 good[i] = _constructed(self[i])
         return good
 
 
 def _constructed(scene: Scene) -> bool:
-    """Whether the constructors take the scene's membrane."""
+    """Whether the constructors accept the scene's membrane."""
     try:
         for module in (scene.membrane.material, scene.membrane.breakdown, scene.membrane):
             check = getattr(module, "__check_init__", None)

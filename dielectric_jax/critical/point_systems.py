@@ -1,14 +1,14 @@
 """Critical points as solutions of small systems of equations, and their derivatives by the implicit function theorem.
 
-A state is u = (λa, p, q). Its equations are the rim's r(u) = λ2(1) − λ0 = 0, the loading's g(p, V(u), q) = 0, and a third that
-tells the point: a given load; breakdown; zero voltage; or a fold, det ∂(r, g)/∂(λa, p) = 0. With F(u, θ) = 0 the three, and
-θ the parameters of membrane and loading, du = −F_u⁻¹ F_θ dθ.
+A state is u = (λa, p, q). Its equations are the rim condition r(u) = λ2(1) − λ0 = 0, the loading condition g(p, V(u), q) = 0, and
+a third that selects the point: a given load; breakdown; zero voltage; or a fold, det ∂(r, g)/∂(λa, p) = 0. If F(u, θ) = 0 are the
+three equations and θ the parameters of membrane and loading, then du = −F_u⁻¹ F_θ dθ.
 
-The load of a fold needs less: with ψ the left null vector of ∂(r, g)/∂(λa, p), dq = −(ψ·(r, g)_θ)/(ψ·(r, g)_q) dθ, first
-derivatives only, for the load is stationary along the branch.
+The load of a fold needs less: with ψ the left null vector of ∂(r, g)/∂(λa, p), dq = −(ψ·(r, g)_θ)/(ψ·(r, g)_q) dθ needs first
+derivatives only, because the load is stationary along the branch.
 
 Every rule builds its matrices in forward mode from values that are themselves differentiable by the same rule, and is linear in
-dθ: so jvp, grad, vmap, and forward mode over either, nest.
+dθ. Therefore jvp, grad, vmap, and forward mode over either can be nested.
 """
 
 import functools
@@ -34,7 +34,20 @@ __all__ = [
     "linearised",
 ]
 
-#: the order of the derivatives of r and V that the equations of a kind hold
+PointKind.load, PointKind.breakdown, PointKind.fold, PointKind.volume, PointKind.pressure = (
+    "level",
+    "breakdown",
+    "fold",
+    "volume",
+    "pressure",
+)
+PointKind.pressure_fold, PointKind.onset, PointKind.cusp, PointKind.pressure_cusp = (
+    "pressure_fold",
+    "onset",
+    "cusp",
+    "pressure_cusp",
+)
+#: the order of the derivatives of r and V in the equations of a kind
 _ORDER = {
     PointKind.fold: 1,
     PointKind.pressure_fold: 1,
@@ -55,7 +68,7 @@ class Conditions(eqx.Module):
 
 
 def _equations(kind: PointKind, engine: AbstractRim, rims, u, theta: Conditions):
-    """F(u, θ) and V, from `rim` and as many of its derivatives as the kind needs."""
+    """F(u, θ) and V, from `rim` and the derivatives of it that the kind needs."""
     condition = theta.condition
 
     def determinant(rim, slopes, u):
@@ -97,7 +110,7 @@ _AXES = np.eye(3)
 
 @functools.cache
 def _program(function: Callable, *fixed) -> Callable:
-    """A function with its first arguments fixed, as a program; there are only so many kinds of points."""
+    """A function with its first arguments fixed, as a compiled program; the number of kinds of points is small."""
 
     def program(*args):
         return function(*fixed, *args)
@@ -109,7 +122,7 @@ def _program(function: Callable, *fixed) -> Callable:
 def _assemble(kind: PointKind, wanted: tuple, engine, u, theta: Conditions, rims, by_leaf: dict):
     """F and V (k,), and their derivatives by u (k, 3) and by the numbers in the leaves of θ in `wanted` (k, numbers).
 
-    `rims` holds one derivative more than the equations do, `by_leaf` the derivatives of all but that by leaves.
+    `rims` holds one derivative more than the equations contain; `by_leaf` holds the derivatives of all others by leaves.
     """
     leaves, tree = jax.tree.flatten(theta)
     known, above = rims[:-1], rims[1:]
@@ -154,7 +167,7 @@ def _unknowns(kind: PointKind, by_u, by_theta):
 
 
 def _solve(matrix, right):
-    """x (n, k) with matrix x = right, rows scaled; 3 × 3 by cross products, which vmap to plain arithmetic."""
+    """x (n, k) with matrix x = right, rows scaled; 3 × 3 systems by cross products, which become plain arithmetic under vmap."""
     size = jax.lax.stop_gradient(jnp.max(jnp.abs(matrix), axis=1, keepdims=True))
     matrix, right = matrix / size, right / size
     if len(matrix) != 3:
@@ -169,7 +182,7 @@ def _move(kind: PointKind, value, by_u, by_theta):
 
 
 def correction(kind: PointKind, engine: AbstractRim, u, theta: Conditions, free: int | None = None):
-    """F(u, θ), Newton's move −F_x⁻¹ F of the unknowns x of a kind of point, and V.
+    """F(u, θ), the Newton step −F_x⁻¹ F of the unknowns x of a kind of point, and V.
 
     The unknowns are (λa, p, q), or with a `free` leaf of θ (λa, p, leaf) or (λa, p, q, leaf).
     """
@@ -191,7 +204,7 @@ def _rates(kind: PointKind, free, by_u, by_theta):
 
 
 def _free_rates(free, by_u, by_theta):
-    """Derivatives of what a fold is a fold of, q or the free parameter, by the other leaves: first derivatives only."""
+    """Derivatives of the control of a fold, q or the free parameter, by the other leaves, from first derivatives only."""
     one, two = by_u[:2, 0], by_u[:2, 1]
     scale = jax.lax.stop_gradient(jnp.abs(by_u[:2, :2]).max(axis=0))
     one, two = one / scale[0], two / scale[1]
@@ -202,7 +215,7 @@ def _free_rates(free, by_u, by_theta):
 
 
 class Solution(typing.NamedTuple):
-    """λa, p, q and V of a state, and the value of its free parameter, 0 where there is none."""
+    """λa, p, q and V of a state, and the value of its free parameter, 0 if there is none."""
 
     apex_stretch: Float[Array, ""]
     pressure: Float[Array, ""]
@@ -212,7 +225,7 @@ class Solution(typing.NamedTuple):
 
 
 def _with_free(theta: Conditions, free: int | None, value) -> Conditions:
-    """θ with its free leaf at a value."""
+    """θ with its free leaf set to a value."""
     if free is None:
         return theta
     leaves, tree = jax.tree.flatten(theta)
@@ -224,13 +237,13 @@ def attach(
 ) -> Solution:
     """The `state`, known to solve the equations of `kind` at θ, with its derivatives by θ.
 
-    `free` names the leaf of θ that is an unknown itself; its value is the state's.
+    `free` names the leaf of θ that is itself an unknown; its value is taken from the state.
     """
     return _attach(state, theta, kind, engine, free)
 
 
 def attach_free(value, state: Solution, theta: Conditions, engine: AbstractRim, free: int | None = None):
-    """What a known fold is a fold of, its load q or with `free` that leaf of θ, with its derivatives by θ."""
+    """The control of a known fold, its load q or with `free` that leaf of θ, with its derivatives by θ."""
     return _attach_free(value, state, theta, engine, free)
 
 
@@ -271,7 +284,7 @@ def _(primals, tangents):
         return value, jnp.zeros_like(value)
     at = _attach(state, theta, PointKind.fold if free is None else PointKind.onset, engine, free)
     wanted = which if free is None else (*which, free)
-    # at a given load: the equations without their third
+    # at a given load: the equations without the third one
     _, by_u, by_theta = linearised(PointKind.load, wanted, engine, jnp.stack(at[:3]), _with_free(theta, free, at.free))
     rates = _program(_free_rates, free)(by_u, by_theta)
     return value, rates @ _numbers(moves)

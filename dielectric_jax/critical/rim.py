@@ -1,4 +1,4 @@
-"""Two engines that give the rim's residual and the volume with all derivatives: shooting, and a surface."""
+"""Two engines that compute the rim's residual and the volume with all derivatives: shooting, and a surface."""
 
 import functools
 import typing
@@ -16,10 +16,10 @@ __all__ = ["AbstractRim", "ShotRim", "SurfaceRim", "entries", "jets", "perturbed
 
 
 class AbstractRim(eqx.Module):
-    """Gives the rim's residual, zero in equilibrium, and the volume, at (λa, p, q)."""
+    """Computes the rim's residual, which is zero in equilibrium, and the volume, at (λa, p, q)."""
 
     def rim(self, membrane: Membrane, u):
-        """What the residual r is made of, and V, at u = (λa, p, q), an array (2,)."""
+        """The quantity from which the residual r is computed, and V, at u = (λa, p, q), an array (2,)."""
         raise NotImplementedError
 
     def residual(self, membrane: Membrane, u, given):
@@ -27,7 +27,7 @@ class AbstractRim(eqx.Module):
         raise NotImplementedError
 
     def own_leaves(self, membrane: Membrane) -> int:
-        """How many of the membrane's leaves, the first ones, `rim` depends on."""
+        """The number of leading leaves of the membrane that `rim` depends on."""
         raise NotImplementedError
 
 
@@ -48,7 +48,7 @@ class ShotRim(AbstractRim):
 
 
 class SurfaceRim(AbstractRim):
-    """By a surface: r = p − p(λa, q). Its derivatives by the membrane are those of the shot."""
+    """By a surface: r = p − p(λa, q). Its derivatives with respect to the membrane are those of the shot."""
 
     surface: Surface
     steps: typing.Any = 48.0
@@ -75,8 +75,8 @@ def _derivatives(function, order: int):
 def _on_surface(own, place, order, engine):
     """The derivatives of an order of p and V by `place` (λa, q): an array (2, 2, …).
 
-    The surface is of one membrane. What changes with `own`, material and prestretch, the shot tells, for every order, so
-    that the derivatives mix.
+    A surface belongs to one membrane. The derivatives with respect to `own`, material and prestretch, come from the shot, at
+    every order, so that mixed derivatives are available.
     """
 
     def read(place):
@@ -122,7 +122,7 @@ def entries(leaf) -> list[np.ndarray]:
 
 
 def perturbed(tangents) -> tuple:
-    """The leaves that move: their places, and their tangents."""
+    """The leaves that vary: their positions and their tangents."""
     moves = jax.tree.leaves(tangents, is_leaf=lambda v: v is None)
     which = tuple(k for k, move in enumerate(moves) if move is not None)
     return which, [moves[k] for k in which]
@@ -152,7 +152,7 @@ def _jets_program(order: int):
 
 @functools.cache
 def _jets_by_leaf_program(order: int, k: int):
-    """The derivatives of the towers by leaf k of the membrane, along a last axis by each of its numbers."""
+    """The derivatives of the jets by leaf k of the membrane, with a last axis over the numbers of the leaf."""
 
     def jets_by_leaf(engine, membrane, u):
         leaves, tree = jax.tree.flatten(membrane)
@@ -169,7 +169,7 @@ def _jets_by_leaf_program(order: int, k: int):
 
 
 def _held(membrane: Membrane) -> Membrane:
-    """The membrane without its breakdown law, which no shot depends on."""
+    """The membrane without its breakdown law, on which no shot depends."""
     return eqx.tree_at(lambda m: m.breakdown, membrane, None)
 
 

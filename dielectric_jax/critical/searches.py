@@ -1,7 +1,7 @@
-"""Where critical points lie: found on the host for many scenes at once, and said in words where there is none.
+"""The searches for critical points, run on the host for many scenes at once; a code says why a point does not exist.
 
-Nothing here is differentiated: the points are exact already, `points` adds their derivatives. A scene is told by the leaves
-of its pytree, so that a transformed function asks for a batch of them by one call to the host.
+Nothing here is differentiated: the points are exact already, and `point_systems` adds their derivatives. A scene is represented by
+the leaves of its pytree, so that a transformed function passes a batch of scenes in one call to the host.
 """
 
 import typing
@@ -34,7 +34,7 @@ from .rim import ShotRim, jets
 
 __all__ = ["EVENTS", "first_folds", "first_folds_on_surface", "ramp_events"]
 
-#: the events that a search tells, each as λa, p, q, V, error, code
+#: the events that a search returns, each as λa, p, q, V, error, code
 EVENTS = ("start", "snap", "landing", "breakdown", "snap_back", "landing_back", "rest")
 _TOLERANCE = 1e-9
 _STEPS = Steps(
@@ -47,16 +47,16 @@ _STEPS = Steps(
     most_residual=0.1,
     cubic=True,
 )
-_GRIDS = (7.0, 24.0, 48.0)  # of the continuation, tried in this order; folds are met on finer ones
-_MANY = 8  # scenes from which a batch is worth it
-_HIDDEN = 0.02  # of the larger slope of q: an interval on which q rises more slowly may hide a pair of folds
+_GRIDS = (7.0, 24.0, 48.0)  # of the continuation, tried in this order; folds are located on finer ones
+_MANY = 8  # scenes from which on a batch is faster
+_HIDDEN = 0.02  # relative to the larger slope of q: an interval on which q rises more slowly may hide a pair of folds
 
 
 @cached_jit
 def _climb_program(membrane, condition, limits, seed, grid: TraceGrid):
-    """The branch from a state at zero voltage until q no longer rises: the last two points, their tangents, and why.
+    """The branch from a state at zero voltage until q no longer rises: the last two points, their tangents, and the reason.
 
-    The last number tells how slowly q rose on any interval before, by the slopes at its ends.
+    The last number is the smallest rate at which q rose on any earlier interval, from the slopes at its ends.
     """
     problem = branch_problem(membrane.material, membrane.prestretch, condition, limits, grid, _STEPS)
     walk = begin(problem, seed, jnp.array([0.0, 0.0, 1.0]))
@@ -89,10 +89,10 @@ def _climb_program(membrane, condition, limits, seed, grid: TraceGrid):
 
 
 def _turn(before, after):
-    """Place, unit tangent and d(dq)/ds where the cubic through two points and tangents turns in q; scaled unknowns."""
+    """Point, unit tangent and d(dq)/ds where the cubic through two points and tangents turns in q; scaled unknowns."""
     (x0, t0), (x1, t1) = before, after
     gap = np.linalg.norm(x1 - x0)
-    # derivative by the share s: quadratic a + b s + c s²
+    # derivative by the fraction s: quadratic a + b s + c s²
     a, chord = t0 * gap, x1 - x0
     b, c = 6 * chord - (4 * t0 + 2 * t1) * gap, (3 * t0 + 3 * t1) * gap - 6 * chord
     roots = np.roots([c[2], b[2], a[2]])
@@ -104,7 +104,7 @@ def _turn(before, after):
 
 
 def _on_finer_grid(membrane, condition, u, volume, way, slope: float):
-    """A fold moved along its branch to where the tangent of a finer grid says that q turns.
+    """A fold moved along its branch to where q turns according to the tangent on a finer grid.
 
     `slope` is d(dq)/ds along the unit tangent `way`, in scaled unknowns.
     """
@@ -115,7 +115,7 @@ def _on_finer_grid(membrane, condition, u, volume, way, slope: float):
     tangent = np.cross(*rows) / np.linalg.norm(np.cross(*rows))
     tangent *= np.sign(tangent @ way)
     move = -tangent[2] / slope * tangent * SCALE
-    move = np.where(np.abs(move).max() < 1e-4, move, 0.0)  # else the search and this grid do not mean one fold
+    move = np.where(np.abs(move).max() < 1e-4, move, 0.0)  # otherwise the search and this grid refer to different folds
     return u + move, volume + slopes[1] @ move
 
 
@@ -180,7 +180,7 @@ def first_folds(scenes: Scenes) -> dict[str, np.ndarray]:
 
 
 def guarded(search, scene: Scene, rows: int = 2, width: int = 6):
-    """A search for rows of numbers, whose refusal becomes a code: a failing scene never harms its neighbours."""
+    """A search for rows of numbers whose errors become codes, so that a failing scene does not affect the others."""
     try:
         return search(scene)
     except SceneError as error:
@@ -196,7 +196,7 @@ def _of_state(state: State) -> np.ndarray:
 
 
 def _diagram_events(scene: Scene, surface: Surface | None) -> dict[str, np.ndarray]:
-    """The events of one scene by its diagram."""
+    """The events of one scene from its diagram."""
     diagram = voltage_volume(scene, surface=surface, tolerance=_TOLERANCE)
     if float(diagram.branches[0].pressure.max()) == 0:
         raise SceneError(Code.flat_film)
@@ -221,7 +221,7 @@ def _diagram_events(scene: Scene, surface: Surface | None) -> dict[str, np.ndarr
         if up[name]:
             table[name] = _of_state(up[name][0].state)
     if not up["snap"] and not unstable:
-        # past breakdown the branch may still fold
+        # the branch may still fold past breakdown
         position = next(p for p in diagram.special_points if p.kind == "zero_voltage" and _same(p, table["start"]))
         ahead = [p for p in diagram.special_points if p.kind == "fold" and p.branch == position.branch]
         rising = _rising(diagram.branches[position.branch], position)
@@ -259,14 +259,14 @@ _COLUMNS = {"start": None, "snap": 0, "landing": 0, "breakdown": None, "snap_bac
 
 
 def _table_of(ramps: Ramps) -> dict[str, np.ndarray]:
-    """The events of ramps, with the code of what is not there."""
+    """The events of ramps, with codes for missing ones."""
     outcome = np.asarray(ramps.outcome)
     table = {}
     for name, column in _COLUMNS.items():
         values = [v if column is None else v[..., column] for v in getattr(ramps, name)]
         table[name] = np.stack([*values, np.zeros_like(values[0])], axis=-1)
     broken = outcome == Outcome.breakdown_in_snap
-    # with breakdown in the snap the landing is where it happens
+    # with breakdown in the snap it happens at the landing
     table["breakdown"][broken] = table["landing"][broken]
     unstable = outcome == Outcome.start_unstable
     missing = {"snap": Code.no_fold, "landing": Code.no_fold, "breakdown": Code.no_breakdown}
@@ -282,7 +282,7 @@ def _table_of(ramps: Ramps) -> dict[str, np.ndarray]:
 
 
 def first_folds_on_surface(scenes: Scenes, surface: Surface) -> dict[str, np.ndarray]:
-    """`first_folds` of scenes of one membrane on its surface; shooting decides what the surface does not."""
+    """`first_folds` of scenes of one membrane on its surface; shooting decides where the surface cannot."""
     found = first_folds_on(surface, loading_arrays(scenes.stacked().loading, surface))
     code = np.full((*found.shape[:-1], 1), float(Code.ok))
     found = np.concatenate([found, code], axis=-1)
@@ -296,7 +296,7 @@ def first_folds_on_surface(scenes: Scenes, surface: Surface) -> dict[str, np.nda
 
 
 def _settled_fold(scene: Scene, start: np.ndarray, fold: np.ndarray) -> np.ndarray:
-    """A fold known well enough to tell its load, moved to its exact place."""
+    """A fold whose load is already accurate, moved to its exact state."""
     condition = condition_of(scene, float(start[1]), float(start[3]))
     theta = Conditions(scene.membrane, condition, np.asarray(0.0))
     engine = ShotRim(np.asarray(48.0))
@@ -305,14 +305,14 @@ def _settled_fold(scene: Scene, start: np.ndarray, fold: np.ndarray) -> np.ndarr
     if not np.abs(move / SCALE).max() < 1e-3:  # its grid is too coarse for this state
         return fold
     ((_, volume), *_), _ = jets(engine, scene.membrane, fold[:3] + move, 0, ())
-    # the load is the search's: it saw the finer grid
+    # the load is that of the search, which used the finer grid
     return np.array([fold[0] + move[0], fold[1] + move[1], fold[2], float(volume), *fold[4:]])
 
 
 def ramp_events(scenes: Scenes, surface: Surface | None = None, *, alone: bool = True) -> dict[str, np.ndarray]:
     """All events of many scenes' ramps, a dictionary of arrays (scenes, 6).
 
-    What neither batch nor surface decides is decided by the scene's own diagram, with `alone`.
+    With `alone`, scenes that neither batch nor surface decides are decided by their own diagrams.
     """
     if surface is None:
         ramps = continue_scenes(list(scenes)).ramps
@@ -321,7 +321,7 @@ def ramp_events(scenes: Scenes, surface: Surface | None = None, *, alone: bool =
         ramps = pressure_ramps(surface, **given) if "pressure" in given else chamber_ramps(surface, **given)
     table = _table_of(ramps)
     unknown = ramps.outcome == Outcome.unresolved
-    # the surface says that a landing is there, not where
+    # the surface determines that there is a landing, but not where
     unknown |= (ramps.outcome == Outcome.breakdown_in_snap) & ~np.isfinite(table["landing"][:, 0])
     for i in np.flatnonzero(unknown) if alone else ():
         try:

@@ -1,14 +1,14 @@
-"""Folds and breakdown in two parameters: where they lie, over a parameter and the control, and where folds merge.
+"""Folds and breakdown in two parameters: their curves over a parameter and the control, and where folds merge.
 
-A state is u = (λa, p, q), a parameter θ. A fold or breakdown is three equations F(u, θ) = 0 of `points` in four unknowns: the
-residual of the shot, the loading's condition, and det ∂(r, g)/∂(λa, p) = 0, or E/E_EB = 1 at the apex. So it lies on a curve,
-which pseudo-arclength continuation follows with exact Jacobians. Along a curve of folds θ turns
+A state is u = (λa, p, q), a parameter θ. A fold or breakdown is given by three equations F(u, θ) = 0 of `point_systems` in four
+unknowns: the residual of the shot, the loading condition, and det ∂(r, g)/∂(λa, p) = 0, or E/E_EB = 1 at the apex. So it lies on a
+curve, which pseudo-arclength continuation follows with exact Jacobians. Along a curve of folds θ turns
 
-    with the control too        at a cusp: two folds merge, and beyond it there is none of them;
-    while the control goes on   at a merger: two branches touch, and beyond it they are joined anew, or a loop is gone.
+    together with the control        at a cusp: two folds merge, and beyond it neither exists;
+    while the control is monotonic   at a merger: two branches touch, and beyond it they are joined differently, or a loop is gone.
 
-Where curves begin, diagrams at several values of the parameter say; and every fold of every diagram must lie on a curve, every
-crossing of a curve in its diagram. Bracketed points are met by Brent's method along the curve.
+Diagrams at several values of the parameter provide starting points; every fold of every diagram must lie on a curve, and every
+crossing of a curve must appear in its diagram. Bracketed points are located by Brent's method along the curve.
 """
 
 import dataclasses
@@ -24,7 +24,7 @@ from .fold_continuation import LARGEST_LOAD, ConditionsOver, Followed, Lost, Pla
 
 __all__ = ["FoldCurve", "FoldCurves", "TwoParameterPoint", "fold_curves"]
 
-_CLOSE = 1e-5  # of a crossing and the fold of a diagram, in scaled unknowns
+_CLOSE = 1e-5  # distance of a crossing from the fold of a diagram, in scaled unknowns
 _DRAWN = 8  # points of a line between two of a curve
 _QUANTITIES = ("parameter", "apex_stretch", "pressure", "voltage", "volume", "breakdown_ratio", "error_estimate")
 
@@ -34,7 +34,7 @@ class FoldCurve:
     """A curve of folds or of breakdown: arrays (points,), dimensionless, and why it ends on either side.
 
     `ends`: lower_bound, upper_bound (of the parameter), zero_voltage, largest_ratio, largest_load, closed, no_filling (no state
-    of the first branch fills the chamber beyond), or step_too_small and too_many_points, which are told as doubts.
+    of the first branch fills the chamber beyond), or step_too_small and too_many_points, which are reported as doubts.
     `error_estimate` is relative, of parameter and control. `line` (more, 4) is for figures: parameter, p, Φ and E/E_EB along
     the cubics between points.
     """
@@ -70,8 +70,8 @@ class TwoParameterPoint:
 class FoldCurves:
     """Curves of folds and breakdown of a scene over a parameter.
 
-    `control` is what is folded, "voltage" or "pressure". `complete` says whether curves and the diagrams at `sampled` agree,
-    `doubts` in sentences where they do not.
+    `control` is the quantity that has the folds, "voltage" or "pressure". `complete` says whether curves and the diagrams at
+    `sampled` agree, and `doubts` lists the disagreements in sentences.
     """
 
     scene: Scene
@@ -89,11 +89,11 @@ class FoldCurves:
         return not self.doubts
 
     def named(self, kind: str) -> list[TwoParameterPoint]:
-        """The points of a kind, by rising parameter."""
+        """The points of a kind, in order of the parameter."""
         return sorted((p for p in self.points if p.kind == kind), key=lambda p: p.parameter)
 
     def to_dict(self) -> dict:
-        """What JSON holds of the curves: plain numbers and lists."""
+        """The curves for JSON, as plain numbers and lists."""
         names = [f.name for f in dataclasses.fields(FoldCurve) if f.name != "line"]
         curves = [{name: getattr(c, name) for name in names} for c in self.curves]
         return plain(
@@ -146,20 +146,21 @@ def fold_curves(
     """Folds and breakdown of a scene as a parameter goes through `within`, by continuation in (λa, p, q, parameter).
 
     Args:
-        scene: on a Chamber or at ConstantPressure its voltage has the folds, at ConstantVoltage its pressure.
+        scene: the folds are those of the voltage on a Chamber or at ConstantPressure, and of the pressure at ConstantVoltage.
         parameter: the published name of a continuous parameter (`PARAMETERS`): "chamber_volume", "initial_volume",
-            "pressure", "prestretch", "stretch_limit", …; bounds far apart are followed in the logarithm.
+            "pressure", "prestretch", "stretch_limit", …; wide ranges are followed in the logarithm.
         within: the lowest and highest value.
         kinds: "fold", "breakdown", or both.
-        samples: diagrams that say where curves begin and check the result, at equal shares of the way between the bounds.
-        largest_ratio: E/E_EB at the apex up to which folds are followed; and up to t = 0.9: towards the cone they have no end.
+        samples: number of diagrams, evenly spaced between the bounds, that provide starting points and check the result.
+        largest_ratio: E/E_EB at the apex up to which folds are followed. They are also followed up to t = 0.9 only, because
+            there are infinitely many towards the cone.
 
     Returns:
         `FoldCurves`: arrays of parameter, λa, p, Φ, V, E/E_EB and a relative error estimate (parameter and control) along
         each curve; cusps, mergers, folds at breakdown and at zero voltage.
 
     Raises:
-        ValueError: for a parameter the scene has not, or bad bounds.
+        ValueError: if the scene does not have the parameter, or for bad bounds.
 
     >>> from dielectric_jax import Chamber, Membrane
     >>> scene = Scene(Membrane(), Chamber(volume=1600.0, initial_volume=2.42))
@@ -193,7 +194,7 @@ def fold_curves(
 
 
 def _followed(system: System, shares, seeds: list, largest_ratio: float) -> tuple[list[Followed], list]:
-    """Every curve through seeds (sample, z), and where curves and seeds do not agree: (z, what is the matter)."""
+    """Every curve through seeds (sample, z), and the disagreements between curves and seeds: (z, description)."""
     curves: list[Followed] = []
     doubts = []
     met = [False] * len(seeds)
@@ -204,7 +205,7 @@ def _followed(system: System, shares, seeds: list, largest_ratio: float) -> tupl
         try:
             start = system.correct(z, np.array([0.0, 0.0, 0.0, 1.0]), z[3], np.ones(4))
         except (Lost, SceneError, ValueError):
-            doubts.append((z, " of the diagram was not met by Newton."))
+            doubts.append((z, " of the diagram was not reached by Newton."))
             continue
         found = follow(system, start, shares, largest_ratio)
         curves.append(found)
@@ -222,7 +223,7 @@ def _followed(system: System, shares, seeds: list, largest_ratio: float) -> tupl
 
 
 def _seeds(scene: Scene, parameter: str, values: list[float], largest_ratio: float):
-    """Folds and breakdowns of diagrams within the limits: (sample, kind, u); and sentences on diagrams that there are not."""
+    """Folds and breakdowns of diagrams within the limits, (sample, kind, u), and sentences on diagrams that do not exist."""
     seeds, doubts = [], []
     for i, value in enumerate(values):
         own = scene.replace(**{parameter: value})
@@ -244,7 +245,7 @@ def _seeds(scene: Scene, parameter: str, values: list[float], largest_ratio: flo
 
 
 def _numbers(system: System, place: Place) -> tuple[float, ...]:
-    """In the order of `_QUANTITIES`."""
+    """The numbers of a place in the order of `_QUANTITIES`."""
     apex, p, q = (float(v) for v in place.z[:3] * SCALE)
     voltage = math.sqrt(max(q, 0.0))
     return system.value(place.z[3]), apex, p, voltage, place.volume, place.ratio, place.error
@@ -259,7 +260,7 @@ def _curve(kind: str, system: System, found: Followed) -> FoldCurve:
 def _line(system: System, places: list[Place], ratio: np.ndarray) -> np.ndarray:
     """Parameter, p, Φ and E/E_EB on the cubics between places."""
     z, t = np.array([p.z for p in places]), np.array([p.tangent for p in places])
-    # tangents of both ways from the start point the way of the chords
+    # orient the tangents along the chords: from the start they point both ways
     chords = np.diff(z, axis=0)
     pieces = []
     for k, chord in enumerate(chords):

@@ -1,7 +1,7 @@
 """The design of largest area strain: chamber, filling and prestretch by gradients, with margins as constraints.
 
-A coarse scan of the designs tells the shape of their ramps. From the best design of every connected region SciPy's SLSQP
-climbs with exact values and gradients of that shape; the best answer is checked by its regime and its whole diagram.
+A coarse scan of the designs finds the structure of their ramps. From the best design of every connected region SciPy's SLSQP
+maximises with exact values and gradients for that structure; the best result is checked by its regime and its whole diagram.
 """
 
 import dataclasses
@@ -24,21 +24,21 @@ from .scenarios import scenarios_of
 
 __all__ = ["Design", "maximise_area_strain"]
 
-_MOST_SOUGHT = 6  # parameters, of which the scan takes 7 values each
+_MOST_SOUGHT = 6  # parameters, each of which the scan samples at 7 values
 _SCAN = {1: (256,), 2: (24, 24), 3: (12, 12, 12)}
 _SEEDS = 5
-_INWARD = 1e-7  # of the range: the check steps back from the edges by it
+_INWARD = 1e-7  # fraction of the range by which the check steps back from the boundaries
 
 
 @dataclasses.dataclass(frozen=True)
 class Design:
-    """A best design: its parameters, its area strain, and which constraints hold it there.
+    """A best design: its parameters, its area strain, and its active constraints.
 
-    `active` names the constraints that hold with equality, bounds as in "chamber_volume_upper"; `multipliers` how fast the
-    area strain would grow if each were relaxed: by one unit of a parameter, of a margin, or of q for the way down. `slack`
-    is what is left of every constraint. `regime`, and `diagram` where it was asked for, are those of the design moved inwards
-    by 1e-7 of the ranges, as on an edge of a regime they are two. `scan` compares with a scan of many designs. For a robust
-    design `area_strain` is the worst case, or the quantile.
+    `active` names the constraints that hold with equality, bounds as in "chamber_volume_upper"; `multipliers` are the rates at
+    which the area strain would grow if each were relaxed: by one unit of a parameter, of a margin, or of q for the way down.
+    `slack` is the slack of every constraint. `regime`, and `diagram` if requested, are those of the design moved inwards by
+    1e-7 of the ranges, because they are ambiguous on the boundary of a regime. `scan` compares with a scan of many designs.
+    For a robust design `area_strain` is the worst case, or the quantile.
     """
 
     parameters: dict[str, float]
@@ -88,23 +88,23 @@ def maximise_area_strain(
     """The design of largest area strain.
 
     Args:
-        scene: a chamber, or a constant pressure, with every parameter that is not sought.
-        over: the parameters that are sought, and their ranges, `{"chamber_volume": (500.0, 25000.0)}`; any of those that
-            leave the material as it is.
+        scene: a chamber, or a constant pressure, with every parameter that is not optimised.
+        over: the parameters to optimise and their ranges, `{"chamber_volume": (500.0, 25000.0)}`; any of those that
+            do not change the material.
         survival_margin: m, so that E/E_EB ≤ 1 − m at every landing.
-        operating_margin: the strain is taken where E/E_EB is 1 less this, and landings lie below that.
+        operating_margin: the strain is taken where E/E_EB is 1 minus this margin, and landings lie below that.
         must_snap: whether the ramp must snap.
-        way_down: "stays" or "returns", the regime that is wanted.
-        uncertain: parameters known only within a share, `{"initial_volume": 0.02, "stretch_limit": 0.1}`; the margins hold,
-            and the strain is the worst, over the corners of that box and its centre. What the box says of a parameter that is
-            sought is a share of the value chosen.
-        quantile: the share of 32 even samples of the box that may fail or fall short, in place of the worst case.
-        surface: of the scene's membrane, or a family over the prestretch where that is sought; built where it is left out.
-        compare: how many designs to scan for a comparison, at least.
-        check: whether to compute the diagram of the answer.
+        way_down: "stays" or "returns", the required regime.
+        uncertain: relative uncertainties of parameters, `{"initial_volume": 0.02, "stretch_limit": 0.1}`; the margins hold
+            at the corners and the centre of that box, and the strain is the worst of these. The uncertainty of a parameter
+            that is optimised is relative to the value chosen.
+        quantile: the fraction of 32 evenly spread samples of the box that may fail or fall short, instead of the worst case.
+        surface: that of the scene's membrane, or a family over the prestretch if it is optimised; built if not given.
+        compare: the least number of designs to scan for a comparison.
+        check: whether to compute the diagram of the result.
 
     Raises:
-        ValueError: for arguments that are not one of these, or where no design of the scan fulfils the wishes.
+        ValueError: for invalid arguments, or if no design of the scan satisfies the constraints.
 
     >>> from dielectric_jax import Chamber, Membrane
     >>> scene = Scene(Membrane(), Chamber(volume=1600.0, initial_volume=2.3))
@@ -122,7 +122,7 @@ def maximise_area_strain(
     names = tuple(over)
     for name in names:
         if place_of(name)[:2] == ("membrane", "material"):
-            raise ValueError(f"`{name}` must be held, because every value of it needs a surface of its own.")
+            raise ValueError(f"`{name}` must be held, because every value of it needs its own surface.")
     scenes = scenarios_of(scene, axes, uncertain or {}, quantile, surface, operating_margin)
     share = 0.0 if quantile is None else quantile
     counts = _SCAN.get(len(axes), (7,) * len(axes)) if len(scenes) == 1 else (max(5, 40 // len(axes) ** 2),) * len(axes)
@@ -137,7 +137,7 @@ def maximise_area_strain(
         kind = Kind(int(nominal.ramps.snaps[number]), way_down is not None and nominal.ramps.snaps[number] > 0)
         begin = begin_of(kind, nominal.ramps, np.array([number]))
         x = values[number]
-        for _ in range(1 if quantile is None else 3):  # at the design that was found others may be the worst
+        for _ in range(1 if quantile is None else 3):  # other scenarios may be the worst at the design that was found
             held = _held(scenes, names, x, wishes, share)
             climb = Climb(kind, scenes, axes, wishes, held)
             if not climb.seed(z, [begin] * len(scenes)):
@@ -148,7 +148,7 @@ def maximise_area_strain(
             if found is None or found[1] <= least:
                 break
             if not _is_true(climb, found[0], names):
-                # the climb left the shape of its ramp: the design it began with remains
+                # the search left the structure of its ramp: keep the design it began with
                 rows = climb.rows(z) if np.isfinite(strain[number]) else None
                 if rows is None or rows[0][held].min() <= least:
                     break
@@ -156,12 +156,12 @@ def maximise_area_strain(
             best = found[0], found[1], held, climb
             x = climb.place(found[0])[0]
     if best is None:
-        raise ValueError("`over` must hold a design that fulfils the constraints, but none was found in these ranges.")
+        raise ValueError("`over` must contain a design that satisfies the constraints, but none was found there.")
     return _answer(scene, best, evaluations, compare, check, share)
 
 
 def _held(scenes, names, x, wishes, share) -> np.ndarray:
-    """Which scenarios must fulfil the constraints: all but the worst share at a design."""
+    """Which scenarios must satisfy the constraints: all but the worst fraction at a design."""
     if share == 0:
         return np.ones(len(scenes), bool)
     strains = np.array(
@@ -173,7 +173,7 @@ def _held(scenes, names, x, wishes, share) -> np.ndarray:
 
 
 def _seeds(strain: np.ndarray, nominal, counts) -> list[int]:
-    """The best designs of every connected region of one shape of ramp, and those nearest to fulfilling the wishes."""
+    """The best designs of every connected region with the same structure of ramp, and those closest to being feasible."""
     ramps = nominal.ramps
     survives = np.isin(ramps.outcome, (Outcome.breakdown_on_branch, Outcome.breakdown_in_snap)) & np.isfinite(
         ramps.landing.apex_stretch[:, 0]
@@ -202,7 +202,7 @@ def _parts(mask: np.ndarray, counts) -> typing.Iterator[np.ndarray]:
 
 
 def _is_true(climb: Climb, z: np.ndarray, names: tuple) -> bool:
-    """Whether the ramps of the design are of the shape that was climbed, by a search that knows nothing of it."""
+    """Whether the ramps of the design have the structure that was optimised, according to an independent search."""
     moved = np.clip(z + 10 * _INWARD * inwards(climb, z), 0.0, 1.0)
     if climb.rows(moved) is None:
         return False
@@ -224,7 +224,7 @@ def _is_true(climb: Climb, z: np.ndarray, names: tuple) -> bool:
 
 
 def _events_of(scene: Scene) -> np.ndarray:
-    """Start, and (λa, q) of every snap with the λa of its landing, of a ramp to breakdown on the branch, by its diagram."""
+    """The start, and (λa, q) of every snap with λa of its landing, of a ramp to breakdown on the branch, by its diagram."""
     up = voltage_volume(scene).ramp()
     if up.area_strain_reason != "breakdown on the branch":
         return np.empty(0)
@@ -244,7 +244,7 @@ def _answer(scene: Scene, best, evaluations: int, compare: int, check: bool, sha
     entries = []
     for name, j, value, slope in limits:
         if held[j]:
-            # margins in units of E/E_EB, the way down in those of q
+            # margins in units of E/E_EB, the way down in units of q
             scale = {
                 "survival_margin": 0.5 * (1 - wish.survival_margin),
                 "operating_margin": 0.5 * (1 - wish.operating_margin),
@@ -261,7 +261,7 @@ def _answer(scene: Scene, best, evaluations: int, compare: int, check: bool, sha
     active = [(n, s) for n, v, s in entries if abs(v) <= NEAR * (1 + (abs(v) if n.endswith("er") else 0))]
     multipliers: dict = {}
     if active:
-        # of the area strain: its slope is balanced by those of the constraints that hold it
+        # of the area strain: its gradient is balanced by those of the active constraints
         target = -np.exp(growth) * by_z[worst]
         found = scipy.optimize.nnls(np.array([s for _, s in active]).T, target)[0]
         for (name, _), value in zip(active, found, strict=True):
@@ -292,7 +292,7 @@ def _answer(scene: Scene, best, evaluations: int, compare: int, check: bool, sha
 
 
 def _compared(climb: Climb, count: int, reached: float, share: float) -> dict:
-    """The best of an even scan of at least `count` designs."""
+    """The best of an evenly spaced scan of at least `count` designs."""
     each = int(np.ceil(count ** (1 / len(climb.axes)) - 1e-9))
     ticks = [even(a.name, (a.low, a.high), each) for a in climb.axes]
     best, where = -np.inf, None

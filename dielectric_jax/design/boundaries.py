@@ -1,7 +1,7 @@
-"""Exact boundaries between regimes: equations on the sheet of states, met by Newton between two designs that differ.
+"""Exact boundaries between regimes: equations on the manifold of equilibria, solved by Newton between two different designs.
 
-c(λa, q) = p(λa, q) − p_gas(V(λa, q)) is the condition of the loading on the sheet, λs the start (V = V_0 at q = 0), a dash
-the derivative by λa at fixed q. Between two designs a and b, the parameters a + s (b − a):
+c(λa, q) = p(λa, q) − p_gas(V(λa, q)) is the loading condition on the chart, λs the start (V = V_0 at q = 0), and a prime
+denotes the derivative by λa at fixed q. Between two designs a and b, with parameters a + s (b − a):
 
     start unstable            c′(λs, 0) = 0
     two folds merge           c = c′ = c″ = 0 at (λ1, q1)
@@ -10,7 +10,7 @@ the derivative by λa at fixed q. Between two designs a and b, the parameters a 
     a snap-back at zero       c = c′ = 0 at (λ1, 0)
     a landing leaves          c = c′ = 0 at (λ1, q1), c(λ2, q1) = 0, q1 = 0.9 q_max(λ2), the edge of the scanned window
 
-The last lies beyond the surface's domain: its state at λ2 is shot.
+The last lies beyond the surface's domain: its state at λ2 is computed by shooting.
 """
 
 import numpy as np
@@ -45,18 +45,18 @@ START, MERGING, FOLD_BREAKS, LANDING_BREAKS, REST, LANDING_LOST = (
     "landing leaves the window",
 )
 _LANES = 64
-_FAR_STEPS = 160.0, 320.0  # of the shots beyond the surface; their results differ by the coarser one's error
+_FAR_STEPS = 160.0, 320.0  # of the shots beyond the surface; their difference is the error of the coarser one
 
 
 def kind_between(one: Regime, other: Regime) -> str | None:
-    """Which equations hold where two regimes meet; None where no such equations are known."""
+    """The equations that hold on the boundary between two regimes; None if no such equations are known."""
     pair = {Regime(one), Regime(other)}
     if pair & {Regime.undetermined, Regime.not_decided}:
         return None
     if Regime.start_unstable in pair:
         return START
     if Regime.no_snap in pair:
-        # the first snaps are small: next to another regime the grid has passed over a narrow one
+        # snaps begin small: next to another regime the grid has missed a narrow one
         return MERGING if pair & {Regime.returns, Regime.breaks_before_snap} else None
     if Regime.breaks_before_snap in pair:
         return FOLD_BREAKS
@@ -68,7 +68,7 @@ def kind_between(one: Regime, other: Regime) -> str | None:
 
 
 def has_event(kind: str, regime: np.ndarray) -> np.ndarray:
-    """Which designs show what a boundary of a kind is the end of."""
+    """Which designs have the event that ends at a boundary of this kind."""
     snaps = np.isin(regime, [int(r) for r in SNAPPING])
     if kind == START:
         return regime != Regime.start_unstable
@@ -82,7 +82,7 @@ def has_event(kind: str, regime: np.ndarray) -> np.ndarray:
 
 
 def guesses(kind: str, designs: Designs, which: np.ndarray) -> np.ndarray:
-    """Where Newton begins (n, unknowns without s), from the ramps of designs; NaN where they do not tell."""
+    """Starting values of Newton (n, unknowns without s) from the ramps of designs; NaN where these do not provide them."""
     ramps = designs.ramps
     start = ramps.start.apex_stretch[which]
     last = np.maximum(ramps.snaps[which] - 1, 0)
@@ -97,7 +97,7 @@ def guesses(kind: str, designs: Designs, which: np.ndarray) -> np.ndarray:
         back = ramps.snap_back.apex_stretch[which, 0]
         return np.stack([start, back], axis=1)
     folds, at = ramps.folds.apex_stretch[which], ramps.folds.voltage_squared[which]
-    # the first fold is a maximum, the next a minimum; where they merge it is halfway
+    # the first fold is a maximum, the next a minimum; they merge about halfway
     if kind == MERGING:
         return np.stack([start, (folds[:, 0] + folds[:, 1]) / 2, (at[:, 0] + at[:, 1]) / 2], axis=1)
     return np.stack([start, folds[:, 0], at[:, 0]], axis=1)
@@ -110,7 +110,7 @@ def with_landing(surface: Surface, scene: Scene, names: tuple, values: np.ndarra
 
 
 def completed(guess: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Guesses, those that are missing from the nearest design that has one."""
+    """Guesses, with missing ones replaced by that of the nearest design that has one."""
     there = np.isfinite(guess).all(axis=1)
     if there.all() or not there.any():
         return guess
@@ -151,7 +151,7 @@ def _landing_lost(on, u):
     return [*_fold(on, u), on.excess(2, u[3], u[2]), edge], []
 
 
-#: the equations of each kind, and the points of the sheet they read
+#: the equations of each kind, and the points at which they evaluate the surface
 _EQUATIONS = {
     START: (_start, ((0, -1),)),
     REST: (_rest, ((0, -1), (1, -1))),
@@ -165,9 +165,9 @@ _EQUATIONS = {
 def located(
     kind: str, surface: Surface, scene: Scene, names: tuple, begin, end, guess, beyond
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where between designs `begin` and `end` (n, parameters) a boundary of a kind lies: s (n,), NaN where it is not met.
+    """Where a boundary of a kind lies between designs `begin` and `end` (n, parameters): s (n,), NaN if it is not found.
 
-    s lies in 0 … 1, or up to `beyond` (n,) outside. Also the size of Newton's last move, a measure of the error of s.
+    s lies in 0 … 1, or up to `beyond` (n,) outside. Also the size of the last Newton step, a measure of the error of s.
     """
     share, error = np.full(len(begin), np.nan), np.full(len(begin), np.nan)
     todo = np.flatnonzero(np.isfinite(guess).all(axis=1))

@@ -31,21 +31,21 @@ __all__ = [
 _LOSSES = ("linear", "huber", "soft_l1")
 _MOST_STEPS = 200
 _ROUNDS_OF_SCALE = 12
-_HUBER = 1.345  # 95 % as efficient as least squares where the noise is normal
-_MODULI = 1e2, 1e9  # Pa, the shear moduli of gels to hard rubbers
-_LEAST_LARGEST, _MOST = 0.02, 1e5  # A³; at the least the film is deflected by 1 % of its radius
-_MAD = 0.6744897501960817  # of a normal distribution's absolute deviations, the median
+_HUBER = 1.345  # 95 % as efficient as least squares for normal noise
+_MODULI = 1e2, 1e9  # Pa, shear moduli from gels to hard rubbers
+_LEAST_LARGEST, _MOST = 0.02, 1e5  # A³; at the lower limit the film is deflected by 1 % of its radius
+_MAD = 0.6744897501960817  # median absolute deviation of the standard normal distribution
 
 
 @dataclasses.dataclass(frozen=True)
 class Calibration:
-    """Constants that fit a measured pressure–volume curve best, and how well they are known.
+    """The constants that fit a measured pressure–volume curve best, and their uncertainty.
 
     `parameters` are the constants, `intervals` their confidence intervals at `level`, `correlation` (m, m) that of the
     estimates in the order of `parameters`. `volume`, `pressure`, `fit` (n,) are the measurement and the model at its
     volumes, in the units of the measurement; `residuals` = pressure − fit; `noise` is the estimated standard deviation of
-    one pressure; `membrane` is the membrane with the constants put in, `units` the units with the shear modulus.
-    `warnings` are sentences on what makes the constants doubtful: above all a misfit that is no noise.
+    one pressure; `membrane` is the membrane with the fitted constants, `units` the units with the fitted shear modulus.
+    `warnings` are sentences on what makes the constants doubtful, above all a misfit that is not noise.
     """
 
     parameters: dict[str, float]
@@ -68,7 +68,7 @@ class Calibration:
     def plot(self, *, axes: typing.Any = None) -> typing.Any:
         """Draws measurement and fit, and the residuals in units of the noise; returns the figure.
 
-        `axes` are two to draw on, else new ones.
+        `axes` are two axes to draw on; new ones when None.
         """
         import matplotlib.pyplot as plt
 
@@ -94,7 +94,7 @@ class Calibration:
         return upper.figure
 
     def to_json(self) -> dict:
-        """Everything but the membrane as a JSON document; null where a number is not finite."""
+        """Everything but the membrane as a JSON document, with null for numbers that are not finite."""
         return _finite_or_none(self._document())
 
     def _document(self) -> dict:
@@ -114,7 +114,7 @@ class Calibration:
 
 
 def _finite_or_none(value: typing.Any) -> typing.Any:
-    """The document without infinities and NaN, which JSON does not have."""
+    """The document without infinities and NaN, which do not exist in JSON."""
     if isinstance(value, dict):
         return {name: _finite_or_none(v) for name, v in value.items()}
     if isinstance(value, (list, tuple)):
@@ -123,14 +123,14 @@ def _finite_or_none(value: typing.Any) -> typing.Any:
 
 
 def _minimum(curve: CurveModel, free: np.ndarray, pressure: np.ndarray, loss: str, scale: float) -> np.ndarray:
-    """The free parameters of the least loss, with residuals in units of `scale`, by SciPy's trust region."""
+    """The free parameters of least loss, with residuals in units of `scale`, by SciPy's trust-region method."""
     known: dict = {}
     far = 1e3 * float(np.abs(pressure).max())
 
     def at(x):
         if known.get("x") is None or (known["x"] != x).any():
             value, jacobian = curve(x)
-            # where there is no state, or a constant is not allowed: far from the data, so that the step is taken back
+            # without a state, or with a forbidden constant: far from the data, so that the step is rejected
             value = np.where(np.isfinite(value), value, far)
             known.update(x=np.array(x), residual=(value - pressure) / scale, jacobian=np.nan_to_num(jacobian) / scale)
         return known
@@ -165,27 +165,28 @@ def calibrate(
 ) -> Calibration:
     """Constants of a membrane from its measured pressure–volume curve.
 
-    Minimises Σ ρ((p_i − p(V_i; θ))/σ) over θ, with ρ(x) = x²/2 ("linear"), Huber's, or √(1 + x²) − 1 ("soft_l1"), which
-    an outlier hardly moves. The intervals are those of linearised least squares in log θ (in θ itself for the prestretch and
-    for constants of either sign) with Student's t; under a robust loss the covariance is that of an M-estimator. Where the
-    starting values do not reach the largest volume, positive constants are raised until they do.
+    Minimises Σ ρ((p_i − p(V_i; θ))/σ) over θ, with ρ(x) = x²/2 ("linear"), Huber's function, or √(1 + x²) − 1 ("soft_l1");
+    the last two are robust against outliers. The intervals are those of linearised least squares in log θ (in θ itself for
+    the prestretch and for constants of either sign) with Student's t; under a robust loss the covariance is that of an
+    M-estimator. If the starting values do not reach the largest volume, positive constants are raised until they do.
 
     Args:
         volume: measured volumes (n,) under the membrane.
-        pressure: measured pressures (n,), above the atmosphere's.
-        membrane: material, prestretch and the constants that stay; those sought are starting values.
-        over: names of the constants: those of the material (of a tuple `moduli` all, or `moduli[0]`), "prestretch", and
-            with `units` "shear_modulus". By default the shear modulus, where there are units, and every constant of the
-            elasticity but exponents; without the shear modulus where the constants have it as their unit, as in MooneyRivlin.
-        units: where given, the measurement is in SI (m³, Pa, and `voltage` in V); its shear modulus is a starting value.
+        pressure: measured gauge pressures (n,).
+        membrane: material, prestretch and the fixed constants; the constants to fit are starting values.
+        over: names of the constants to fit: those of the material (`moduli` for a whole tuple, or `moduli[0]`),
+            "prestretch", and with `units` "shear_modulus". By default the shear modulus, if there are units, and every
+            elastic constant except exponents; without the shear modulus if it is the unit of the constants, as in
+            MooneyRivlin.
+        units: if given, the measurement is in SI (m³, Pa, and `voltage` in V); its shear modulus is a starting value.
         voltage: Φ during the measurement.
         loss: "linear", "huber" or "soft_l1".
-        noise: standard deviation of one pressure, if known; else it is estimated from the residuals.
-        level: of the confidence intervals.
+        noise: standard deviation of one pressure, if known; otherwise it is estimated from the residuals.
+        level: level of the confidence intervals.
 
     Raises:
-        ValueError: for bad input; where no fit is found; for constants that the curve does not determine; for a curve that
-            the material does not follow at all.
+        ValueError: for bad input; if no fit is found; for constants that the curve does not determine; for a curve that
+            does not match the material at all.
 
     >>> import numpy as np
     >>> from dielectric_jax import Gent, equilibrium
@@ -202,9 +203,9 @@ def calibrate(
     volume, pressure, warnings = _usable(volume, pressure, units)
     if len(volume) <= len(names):
         raise ValueError(
-            f"`volume` must hold more points than constants are sought, {len(names)}, but holds {len(volume)}."
+            f"`volume` must hold more points than constants to fit, {len(names)}, but holds {len(volume)}."
         )
-    # volumes without unit, pressures in units of the one that "shear_modulus" multiplies, q times that
+    # dimensionless volumes, pressures in the unit that "shear_modulus" multiplies, and q times the shear modulus
     of_volume, of_pressure, q_scale = _scales(names, units, float(voltage))
     shear = 1.0 if units is None else float(units.shear_modulus)
     curve = CurveModel(membrane, names, volume / of_volume, q_scale, shear)
@@ -212,7 +213,7 @@ def calibrate(
         fit = _fit(curve, pressure / of_pressure, loss, None if noise is None else noise / of_pressure)
         found = _result(curve, fit, level, volume, pressure, of_pressure, units)
         warnings += check_intervals(found.intervals, found.parameters, level)
-        seek = "" if "prestretch" in names else "seek more constants, such as the prestretch, "
+        seek = "" if "prestretch" in names else "fit more constants, such as the prestretch, "
         warnings += misfit_warnings(
             volume,
             pressure,
@@ -220,7 +221,7 @@ def calibrate(
             robust=loss != "linear",
             noise=noise,
             unit="" if units is None else " Pa",
-            advice=f"{seek}take another material, or check the units, the radius and the zero of the pressures.",
+            advice=f"{seek}use another material, or check the units, the radius and the zero of the pressures.",
         )
     except ValueError as error:
         if units is not None and looks_absolute(volume, pressure):
@@ -230,8 +231,8 @@ def calibrate(
 
 
 _ABSOLUTE = (
-    "`pressure` must be above the atmosphere's, but is {low:.6g} to {high:.6g} Pa from the smallest volume on, which looks "
-    "absolute, and no fit follows it; subtract the atmospheric pressure, about 101.3 kPa."
+    "`pressure` must be a gauge pressure, but is {low:.6g} to {high:.6g} Pa from the smallest volume on, which looks "
+    "absolute, and no fit matches it; subtract the atmospheric pressure, about 101.3 kPa."
 )
 
 
@@ -239,7 +240,7 @@ _ABSOLUTE = (
 class _Fit:
     """The best free parameters (m,), the model's pressures there (n,), their Jacobian (n, m), and their noise.
 
-    `spread` is the factor on (JᵀJ)^-½ of the estimates' errors.
+    `spread` is the factor by which (JᵀJ)^-½ is scaled to give the errors of the estimates.
     """
 
     free: np.ndarray
@@ -250,7 +251,7 @@ class _Fit:
 
 
 def _fit(curve: CurveModel, pressure: np.ndarray, loss: str, noise: float | None) -> _Fit:
-    """The best fit, checked: a minimum whose constants the curve determines."""
+    """The best fit, checked to be a minimum whose constants the curve determines."""
     start = curve.reachable_start()
     free = np.maximum(curve.free_of(curve.scaled(start, pressure)), curve.lowest)
     largest = float(np.abs(pressure).max())
@@ -260,7 +261,7 @@ def _fit(curve: CurveModel, pressure: np.ndarray, loss: str, noise: float | None
     if curve.refine(curve.values_of(free)):
         free = _minimum(curve, free, pressure, "linear", scale)
     for _ in range(_ROUNDS_OF_SCALE if loss != "linear" else 0):
-        if noise is None:  # the scale of a robust loss is that of its own residuals
+        if noise is None:  # a robust loss is scaled by its own residuals
             scale = max(float(np.median(np.abs(pressure - curve(free)[0]))) / _MAD, 1e-9 * largest)
         free, before = _minimum(curve, free, pressure, loss, scale), free
         if np.abs(free - before).max() < 1e-9:
@@ -270,7 +271,7 @@ def _fit(curve: CurveModel, pressure: np.ndarray, loss: str, noise: float | None
     if not np.isfinite(fit).all():
         raise ValueError(
             f"`pressure` must be a curve that the material can follow, but no fit of {', '.join(curve.names)} was found from "
-            f"{ {n: float(s) for n, s in curve.start.items()} }; start elsewhere, or seek fewer constants."
+            f"{ {n: float(s) for n, s in curve.start.items()} }; choose other starting values, or fit fewer constants."
         )
     check_determined(curve.start, values, jacobian, pressure)
     pull = residual if loss == "linear" else scale * _psi(residual / scale, loss)[0]
@@ -282,9 +283,9 @@ def _fit(curve: CurveModel, pressure: np.ndarray, loss: str, noise: float | None
 
 
 def _result(curve: CurveModel, fit: _Fit, level, volume, pressure, of_pressure: float, units) -> Calibration:
-    """The constants with their intervals, and the membrane and units that have them."""
+    """The constants with their intervals, and the membrane and units with these constants."""
     names, values = curve.names, curve.values_of(fit.free)
-    # through the QR decomposition: JᵀJ would square the Jacobian's condition
+    # by QR decomposition: JᵀJ would square the condition number of the Jacobian
     inverse = np.linalg.inv(np.linalg.qr(fit.jacobian, mode="r"))
     covariance = inverse @ inverse.T * fit.spread**2
     error = np.sqrt(np.diag(covariance))
@@ -310,14 +311,14 @@ def _result(curve: CurveModel, fit: _Fit, level, volume, pressure, of_pressure: 
 
 
 def _psi(x, loss: str):
-    """ψ = ρ' of a robust loss, and its rate."""
+    """ψ = ρ' of a robust loss, and its derivative."""
     if loss == "huber":
         return np.clip(x, -_HUBER, _HUBER), np.abs(x) < _HUBER
     return x / np.sqrt(1 + x**2), (1 + x**2) ** -1.5
 
 
 def _spread(residual, freedom: int, loss: str, scale: float, known: bool) -> float:
-    """The factor on (JᵀJ)^-½ of the estimates' errors, Huber's for M-estimators: s √(Σψ²/(n − m)) / mean ψ'."""
+    """The factor that scales (JᵀJ)^-½ to the errors of the estimates, Huber's for M-estimators: s √(Σψ²/(n − m)) / mean ψ'."""
     if loss == "linear":
         return scale if known else float(np.sqrt(residual @ residual / freedom))
     psi, rate = _psi(residual / scale, loss)
@@ -332,7 +333,7 @@ def _law_in(law, before: Units, units: Units):
 
 
 def _scales(names: Sequence[str], units: Units | None, voltage: float) -> tuple[float, float, float]:
-    """The units of the curve's volumes and pressures, and q times the shear modulus where that is sought."""
+    """The units of the curve's volumes and pressures, and q times the shear modulus if that is fitted."""
     if units is None:
         return 1.0, 1.0, voltage**2
     of_volume = float(units.scale("volume"))
@@ -346,15 +347,15 @@ def _scales(names: Sequence[str], units: Units | None, voltage: float) -> tuple[
 
 
 def _doubtful(found: Calibration) -> list[str]:
-    """What else makes the constants doubtful."""
+    """Further warnings about the constants."""
     said = []
     if len(runs_of(found.volume)) > 1:
-        said.append("The volume rises and falls: loading and unloading are fitted together; give one of them.")
+        said.append("The volume rises and falls: loading and unloading are fitted together; use only one of them.")
     low, high = _MODULI
     shear = found.parameters.get("shear_modulus", 0.5 * (low + high))
     if not low < shear < high:
         said.append(
-            f"The shear modulus, {shear:.3g} Pa, is none of an elastomer; check the units, the thickness and the radius."
+            f"The shear modulus, {shear:.3g} Pa, is not that of an elastomer; check the units, the thickness and the radius."
         )
     return said
 
@@ -390,7 +391,7 @@ def _measured(volume, pressure) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _usable(volume, pressure, units: Units | None) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """The points whose volume is that of an inflated film, and what is said of the others."""
+    """The points whose volume is that of an inflated film, and a notice about the others."""
     cube = 1.0 if units is None else float(units.scale("volume"))
     unit = "" if units is None else f" of a film of radius {float(units.radius):.4g} m"
     share = volume / cube
@@ -404,12 +405,12 @@ def _usable(volume, pressure, units: Units | None) -> tuple[np.ndarray, np.ndarr
     return volume[keep], pressure[keep], [] if keep.all() else [said]
 
 
-_INDEPENDENT = 1e-7  # least singular value of the Jacobian's scaled columns, over the largest
-_FELT = 1e-9  # change of the pressures by a constant, over the pressures
-_OPTIMAL = 1e-3  # cosine between the residuals and what a constant can change
-_EXACT = 1e-7  # residuals over pressures: below they are rounding
-_WIDE, _ENDLESS = 10.0, 1e6  # an interval's upper end over its lower one: said, and refused
-_SEEN = 2e-3  # misfit over the range of pressures: below nobody minds
+_INDEPENDENT = 1e-7  # smallest singular value of the Jacobian with scaled columns, relative to the largest
+_FELT = 1e-9  # change of the pressures caused by a constant, relative to the pressures
+_OPTIMAL = 1e-3  # cosine between the residuals and the change that a constant can cause
+_EXACT = 1e-7  # residuals relative to the pressures: below it they are rounding errors
+_WIDE, _ENDLESS = 10.0, 1e6  # ratio of the ends of an interval from which it is reported, and refused
+_SEEN = 2e-3  # misfit relative to the range of pressures: below it there is no warning
 
 
 def _and(names: Sequence[str]) -> str:
@@ -419,7 +420,7 @@ def _and(names: Sequence[str]) -> str:
 def check_determined(start: Mapping[str, float], values: Mapping[str, float], jacobian, pressure) -> None:
     """Refuses constants that the curve does not depend on, or that can change together without changing it.
 
-    `jacobian` (n, m) is that by the free parameters; `start` and `values` are the constants before and after the fit.
+    `jacobian` (n, m) is that of the free parameters; `start` and `values` are the constants before and after the fit.
     """
     names, length = list(values), np.linalg.norm(jacobian, axis=0)
     felt = length > _FELT * np.linalg.norm(pressure)
@@ -433,13 +434,13 @@ def check_determined(start: Mapping[str, float], values: Mapping[str, float], ja
     if len(names) > 1 and sizes[-1] < _INDEPENDENT * sizes[0]:
         joined = [n for n, share in zip(names, np.abs(rows[-1]), strict=True) if share > 0.05]
         raise ValueError(
-            f"`over` must name constants that the curve tells apart, but {_and(joined)} can change together without changing "
+            f"`over` must name constants that the curve can separate, but {_and(joined)} can change together without changing "
             "the pressures; leave one of them out of `over`."
         )
 
 
 def check_optimal(start: Mapping[str, float], values: Mapping[str, float], jacobian, pull, pressure, at_limit) -> None:
-    """Refuses constants at which the loss could still be lowered: the fit has stopped, not ended.
+    """Refuses constants at which the loss could still be lowered: the search has stopped before a minimum.
 
     `pull` (n,) are the derivatives of the loss by the residuals; `at_limit` (m,) says which parameters are at their lower limit.
     """
@@ -453,14 +454,14 @@ def check_optimal(start: Mapping[str, float], values: Mapping[str, float], jacob
     moved = ", ".join(f"{n} {values[n]:.4g} (from {start[n]:.4g})" for n in values)
     raise ValueError(
         f"`pressure` must be a curve that the material can follow, but no best fit was found: the search stopped at {moved}; "
-        "start elsewhere, seek fewer constants, or check the units, the thickness and the radius."
+        "choose other starting values, fit fewer constants, or check the units, the thickness and the radius."
     )
 
 
 def check_intervals(
     intervals: Mapping[str, tuple[float, float]], values: Mapping[str, float], level: float
 ) -> list[str]:
-    """Refuses intervals without end; says which are wide."""
+    """Refuses unbounded intervals, and returns warnings about wide ones."""
     said = []
     for name, (low, high) in intervals.items():
         told = f"the {100 * level:g} % interval of {name}, {values[name]:.4g}, is {low:.3g} to {high:.3g}"
@@ -476,16 +477,16 @@ def check_intervals(
 
 
 def looks_absolute(volume, pressure) -> bool:
-    """Whether pressures in Pa are about the atmosphere's at all volumes, from the smallest on."""
+    """Whether pressures in Pa are about atmospheric at all volumes, from the smallest on."""
     small = pressure[volume <= 2 * volume.min()]
     return bool(70e3 < pressure.min() < 115e3 and small.min() < 115e3 and pressure.max() < 3 * pressure.min())
 
 
 def misfit_warnings(volume, pressure, fit, *, robust: bool, noise: float | None, unit: str, advice: str) -> list[str]:
-    """What is to be said of a misfit that is no noise; refuses a fit that leaves more than half of the pressures' variance.
+    """Warnings about a misfit that is not noise; refuses a fit that leaves more than half of the variance of the pressures.
 
-    The noise is that of differences between residuals at neighbouring volumes, which a systematic misfit hardly changes
-    (von Neumann's ratio), unless it is known as `noise`.
+    The noise is estimated from differences between residuals at neighbouring volumes, which a systematic misfit hardly
+    changes (von Neumann's ratio), unless it is known as `noise`.
     """
     residual = (pressure - fit)[np.argsort(volume, kind="stable")]
     steps = np.diff(residual) / np.sqrt(2)
@@ -494,7 +495,7 @@ def misfit_warnings(volume, pressure, fit, *, robust: bool, noise: float | None,
     else:
         misfit, jumps = (float(np.sqrt(np.mean(v**2))) for v in (residual, steps))
     expected = jumps if noise is None else noise
-    # the ratio of the two variances scatters by 1/√n for noise
+    # for pure noise the ratio of the two variances scatters by 1/√n
     allowed = 1 / np.sqrt(max(1 - 3 / np.sqrt(len(residual)), 0.05))
     if not (misfit > allowed * expected and misfit > _SEEN * np.ptp(pressure)):
         return []
@@ -508,7 +509,7 @@ def misfit_warnings(volume, pressure, fit, *, robust: bool, noise: float | None,
 
 
 def _offset(pressure, fit, misfit: float) -> float:
-    """The offset of the pressures that explains most of a misfit; 0 where none does."""
+    """The offset of the pressures that explains most of a misfit; 0 if none does."""
     both = np.column_stack([np.ones_like(fit), fit])
     offset = np.linalg.lstsq(both, pressure, rcond=None)[0]
     left = float(np.sqrt(np.mean((pressure - both @ offset) ** 2)))

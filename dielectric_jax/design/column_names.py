@@ -1,4 +1,4 @@
-"""The heads of columns in files of measurements: which quantity a head names, and the size of its unit in SI."""
+"""The headings of columns in measurement files: the quantity a heading names, and the size of its unit in SI."""
 
 import dataclasses
 import itertools
@@ -15,7 +15,7 @@ _NAMES = {
     ),
 }
 _SHORT = {"volume": "v", "pressure": "p"}
-# a column with one of these words is another quantity, though its head names a volume or a pressure
+# a column with one of these words is another quantity, although its heading names a volume or a pressure
 _OTHER = re.compile(
     r"(?<![a-z])(rate|flow|std|sd|stdev|error|err|uncertainty|chamber|reservoir|tank|setpoint|target|atmospheric|ambient"
     r"|barometric|supply|source|initial|temperature|voltage|time)(?![a-z])"
@@ -50,7 +50,7 @@ def _in_words() -> dict[str, dict[str, float]]:
 
 
 _MMHG, _INCH, _PSI, _CMH2O = 133.322387415, 0.0254, 6894.757293168, 98.0665
-# spelled as they are after `_plain`: without blanks, superscripts or carets, μ for every micro sign
+# spelled as returned by `_plain`: without blanks, superscripts or carets, μ for every micro sign
 _UNITS = {
     "volume": {
         **_with_prefixes("|d|c|m|μ|u", "m3", 3),
@@ -70,28 +70,28 @@ _UNITS = {
 }
 for _quantity, _words in _in_words().items():
     _UNITS[_quantity] |= _words
-_LONGEST = 200  # letters of a head; longer lines are prose
+_LONGEST = 200  # letters of a heading; longer lines are prose
 _ENDINGS = ("(g)", "(a)", "g", "a", "gauge", "gage", "absolute", "abs", "rel")
-# of this package's own dimensionless numbers
+# for this package's own dimensionless numbers
 _NONE = {"volume": ("-", "1", "a3"), "pressure": ("-", "1", "μh/a", "uh/a")}
 
 
 def names_text(quantity: str) -> str:
-    """Examples of units of a quantity, for sentences."""
+    """Examples of units of a quantity, for messages."""
     return {"volume": "m³, L, ml, µl, cm³, mm³", "pressure": "Pa, hPa, kPa, bar, mbar, psi, mmHg"}[quantity]
 
 
 def _plain(text: str) -> str:
-    """One spelling for superscripts, micro signs, full-width letters, carets and blanks."""
+    """Normalises superscripts, micro signs, full-width letters, carets and blanks."""
     plain = unicodedata.normalize("NFKC", text).replace("µ", "μ")
     plain = re.sub(r"\^|\*\*|\s|·|\.$", "", plain)
     return plain.replace("⋅", "")
 
 
 def unit_size(text: str, quantity: str) -> float | None:
-    """The size of a unit in SI, 0 for the unit of dimensionless numbers, None where the text is no unit of the quantity.
+    """The size of a unit in SI, 0 for the unit of dimensionless numbers, None if the text is not a unit of the quantity.
 
-    Upper and lower case count only where they tell two units apart. Raises ValueError for a unit that may be two.
+    Upper and lower case matter only where they distinguish two units. Raises ValueError for a unit that may be two.
 
     >>> unit_size("mL", "volume"), unit_size("KPA", "pressure"), unit_size("V", "volume"), unit_size("A³", "volume")
     (1e-06, 1000.0, None, 0.0)
@@ -113,7 +113,7 @@ def unit_size(text: str, quantity: str) -> float | None:
 
 
 def is_absolute(text: str) -> bool:
-    """Whether a head or a unit of pressure says that it is absolute."""
+    """Whether a heading or a unit of pressure says that it is absolute."""
     unit = _plain(text).lower()
     stem = next((unit.removesuffix(e) for e in ("(a)", "a") if unit.endswith(e)), "")
     return bool(_ABSOLUTE.search(text.lower())) or (unit != "pa" and stem in (n.lower() for n in _UNITS["pressure"]))
@@ -121,11 +121,11 @@ def is_absolute(text: str) -> bool:
 
 @dataclasses.dataclass(frozen=True)
 class Head:
-    """What the head of a column says: its `quantity`, its `unit` as written (None without), `size` of it in SI.
+    """The content of a column's heading: its `quantity`, its `unit` as written (None without), and its `size` in SI.
 
-    `size` is None for a unit that is not known, 0 for dimensionless numbers and where no unit is named; `rank` orders heads
-    of one quantity: 0 is its name alone, 1 its symbol with a unit, 2 a head that holds its name, 3 the symbol alone.
-    `absolute` says that pressures are absolute.
+    `size` is None for an unknown unit, and 0 for dimensionless numbers and if no unit is named; `rank` orders headings of
+    one quantity: 0 is its name alone, 1 its symbol with a unit, 2 a heading that contains its name, 3 the symbol alone.
+    `absolute` says whether pressures are absolute.
     """
 
     quantity: str
@@ -136,7 +136,7 @@ class Head:
 
 
 def _label_and_unit(text: str, quantity: str) -> tuple[str, str | None]:
-    """A head's label and its unit: in brackets, after a slash, comma, colon or `in`, or as the last word."""
+    """The label and the unit of a heading: in brackets, after a slash, comma, colon or `in`, or as the last word."""
     own = re.fullmatch(r"(.*?)\s*(?:A\s*/\s*\(?\s*[μµu]\s*H\s*\)?|/\s*A(?:³|\^?3))", text)
     if own:  # this package's own dimensionless numbers
         return own[1], "-"
@@ -152,12 +152,12 @@ def _label_and_unit(text: str, quantity: str) -> tuple[str, str | None]:
         found = re.fullmatch(pattern, text, re.IGNORECASE)
         if found and unit_size(found[2], quantity) and found[1].strip():
             return found[1].strip(), found[2].strip()
-    named = re.fullmatch(r"(\w+)\s*(?:[/,;|]|\s+in\s)\s*(.+)", text)  # by a unit that is not known
+    named = re.fullmatch(r"(\w+)\s*(?:[/,;|]|\s+in\s)\s*(.+)", text)  # with an unknown unit
     return (named[1], named[2]) if named and named[1].lower() in _NAMES[quantity] else (text, None)
 
 
 def read_head(text: str) -> list[Head]:
-    """What a column's head may mean: no quantity, or one or more.
+    """The possible meanings of a column's heading: no quantity, or one or more.
 
     Raises ValueError as `unit_size` does.
 

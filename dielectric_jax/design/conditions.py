@@ -1,9 +1,9 @@
-"""Equations on the sheet of states, for many designs at once: folds, landings, breakdown, and Newton's method for them.
+"""Equations on the manifold of equilibria, for many designs at once: folds, landings, breakdown, and Newton's method for them.
 
-With c(λa, q) = p(λa, q) − p_gas(V(λa, q)), the condition of a loading that fills the membrane to its start, folds have
-c = c′ = 0 and cusps c″ = 0 too, a dash being the derivative by λa at fixed q. Equations see the sheet as its Taylor polynomial
-of third order at each of their points, so that one compiled program reads the surface for all of them, and derivatives of
-equations up to that order are exact.
+With the loading condition c(λa, q) = p(λa, q) − p_gas(V(λa, q)), of a loading that fills the membrane to its start, folds have
+c = c′ = 0, and cusps also c″ = 0, where a prime is the derivative by λa at fixed q. The equations use the surface's Taylor
+polynomials of third order at each of their points, so that one compiled program evaluates the surface for all of them, and
+derivatives of equations up to that order are exact.
 """
 
 import functools
@@ -30,13 +30,13 @@ from ..surface import ById, Surface, SurfaceFamily, rows_of
 __all__ = ["FarStates", "Solved", "SurfaceConditions", "solve_on_surface"]
 
 
-_TRIES, _SETTLED = 12, 1e-8  # Newton's last move of p as a share, squared in what is left
+_TRIES, _SETTLED = 12, 1e-8  # Newton's last relative step in p; the remaining error is its square
 
 
 class FarStates:
     """p and V at given (λa, q) of one membrane, by Newton's method in p from the pressures of the call before.
 
-    `pressure` (n,) are the first guesses, `steps` those of the shots. What does not converge is NaN.
+    `pressure` (n,) are the first guesses, `steps` the number of steps of the shots. States that do not converge are NaN.
     """
 
     def __init__(self, membrane: Membrane, pressure: np.ndarray, steps: float):
@@ -79,12 +79,12 @@ class FarStates:
         return np.stack([p, np.where(np.isfinite(p), volume, np.nan)], axis=1), np.moveaxis(slopes, -1, 0)
 
 
-_POINTS = (8, 32)  # of one call: few, and many
+_POINTS = (8, 32)  # points of one call: few, and many
 _ITERATIONS = 14
 
 
 class SurfaceConditions:
-    """The condition of a scene's loading near the points of a design; point 0 is its start.
+    """The loading condition of a scene near the points of a design; point 0 is its start.
 
     `jets` are the Taylor coefficients of (p, V) at every point, `places` the points themselves, (λa, q) or (λa, q, λ0).
     """
@@ -103,7 +103,7 @@ class SurfaceConditions:
         else:
             filled = p0 - loading.initial_pressure
             self.condition = loading.condition(loading.initial_pressure, v0)
-        #: zero where `start` is the state that the loading fills the membrane to
+        #: zero if `start` is the state to which the loading fills the membrane
         self.filled = filled
 
     def state(self, k: int, apex, q):
@@ -157,7 +157,7 @@ def _jets_on_surface(surface: Surface, places):
 
 @cached_jit
 def _jets_in_family(family: SurfaceFamily, places):
-    """The same at places (n, 3), by the prestretch too."""
+    """The same at places (n, 3), also with derivatives by the prestretch."""
 
     def state(x):
         t = x[1] / largest_load(family.material, x[0])
@@ -183,7 +183,7 @@ def _jets(surface: Surface | SurfaceFamily, places: np.ndarray) -> list[np.ndarr
 
 @functools.cache
 def _program(equations: Callable, names: tuple, segment: bool) -> Callable:
-    """`_linearised` of some equations, as a program."""
+    """`_linearised` of some equations, as a compiled program."""
 
     def linearised(*args):
         return _linearised(equations, names, segment, *args)
@@ -211,7 +211,7 @@ def _linearised(equations, names, segment, scene, jets, places, begin, end, u):
 
 
 class Solved(typing.NamedTuple):
-    """Unknowns (n, k), measures (n, m), the derivatives of both by θ (n, …, parameters), and the size of Newton's last move."""
+    """Unknowns (n, k), measures (n, m), the derivatives of both by θ (n, …, parameters), and the size of the last Newton step."""
 
     unknowns: np.ndarray
     measures: np.ndarray
@@ -236,10 +236,11 @@ def solve_on_surface(
 ) -> Solved:
     """Solves `equations(conditions, u) = rows, measures` for designs θ (n, parameters) by Newton's method.
 
-    `points` says where they read the sheet: pairs (unknown that is λa, unknown that is q or −1 for q = 0). With `end` the
-    last unknown s is the place between two designs, θ = begin + s (end − begin). Whole blocks of `lanes` designs share one
-    compiled program. `far` reads the last of the points where it is given, to first order: equations may take its state,
-    no slopes. Newton ends with moves below `last_move`, what is left being their square. NaN where it leaves the sheet.
+    `points` says where they evaluate the surface: pairs (unknown that is λa, unknown that is q, or −1 for q = 0). With `end`
+    the last unknown s is the position between two designs, θ = begin + s (end − begin). Designs are solved in blocks of `lanes`,
+    which share one compiled program. `far`, if given, evaluates the last of the points, to first order: equations may use its
+    state, but no slopes. Newton stops when its steps are below `last_move`; the remaining error is of the order of their
+    square. The result is NaN where Newton leaves the surface.
     """
     segment = end is not None
     u, count = np.array(guess, float), len(guess)
@@ -269,7 +270,7 @@ def solve_on_surface(
 
 
 def _solved(matrix, right) -> tuple[np.ndarray, np.ndarray]:
-    """x with matrix x = right, rows scaled, and which systems have one."""
+    """x with matrix x = right, rows scaled, and which systems have a solution."""
     with np.errstate(all="ignore"):
         size = np.abs(matrix).max(axis=2, keepdims=True)
         matrix, right = matrix / size, right / size

@@ -1,4 +1,4 @@
-"""The climb to a best design: its constraints on every scenario, with exact values and gradients, for SciPy's SLSQP."""
+"""The constrained search for a best design by SciPy's SLSQP, with exact values and gradients for every scenario."""
 
 import dataclasses
 import typing
@@ -15,16 +15,16 @@ from .scenarios import Scenario
 
 __all__ = ["NEAR", "Axis", "Climb", "Wishes", "axis_of", "inwards", "scan_designs"]
 
-NEAR = 1e-6  # a constraint this near to its limit holds with equality
+NEAR = 1e-6  # a constraint this close to its limit counts as active
 _FAILED = 1e2
-_FAR = 0.2  # of the unknowns: tangents are followed no farther
-_AT_END = 1e-9  # of a range: nearer to it is at it
-_CLOSE = 1e-5  # constraints this near to their limit are met exactly in the end
+_FAR = 0.2  # relative change of the unknowns up to which tangents are followed
+_AT_END = 1e-9  # fraction of a range: values closer to an end are at the end
+_CLOSE = 1e-5  # constraints this close to their limit are finally satisfied exactly
 
 
 @dataclasses.dataclass(frozen=True)
 class Wishes:
-    """What a design must fulfil."""
+    """The requirements on a design."""
 
     survival_margin: float
     operating_margin: float
@@ -40,7 +40,7 @@ class Wishes:
 
     @property
     def landing_limit(self) -> float:
-        """The largest log (E/E_EB)² of a landing, E_EB being the operating field."""
+        """The largest log (E/E_EB)² of a landing, where E_EB is the operating field."""
         return 2 * np.log(min(1.0, (1 - self.survival_margin) / (1 - self.operating_margin)))
 
     @property
@@ -51,7 +51,7 @@ class Wishes:
 
 @dataclasses.dataclass(frozen=True)
 class Axis:
-    """A design parameter and its range; unit coordinates are even in the logarithm over wide ranges."""
+    """A design parameter and its range; the unit coordinate is logarithmic over wide ranges."""
 
     name: str
     low: float
@@ -60,7 +60,7 @@ class Axis:
 
     def value(self, z: float) -> tuple[float, float]:
         """The parameter at z from 0 to 1, and its derivative."""
-        if z <= 0 or z >= 1:  # the ends exactly
+        if z <= 0 or z >= 1:  # the exact ends
             x = self.low if z <= 0 else self.high
         else:
             x = self.low * (self.high / self.low) ** z if self.logarithmic else self.low + z * (self.high - self.low)
@@ -68,16 +68,16 @@ class Axis:
 
 
 def axis_of(name: str, limits, scene: Scene) -> Axis:
-    """The axis of a scene's parameter over a range; ValueError for what is none."""
+    """The axis of a scene's parameter over a range; raises ValueError for invalid ones."""
     low, high = check_range(name, limits, scene)
     values = even(name, limits, 3)
     return Axis(name, low, high, bool(abs(values[1] - (low + high) / 2) > 1e-9 * high))
 
 
 def scan_designs(scenes: list[Scenario], names: tuple, values: np.ndarray, wishes: Wishes, share: float = 0.0):
-    """Area strains of designs (n, parameters), NaN where one does not fulfil the wishes; the nominal designs too.
+    """Area strains of designs (n, parameters), NaN where one does not satisfy the requirements, and the nominal designs.
 
-    With several scenarios the strain is the worst, or with a `share` of them allowed to fail or fall short the quantile.
+    With several scenarios the strain is the worst, or, if a `share` of them may fail or fall short, the quantile.
     """
     strains, every = [], []
     for scenario in scenes:
@@ -99,12 +99,12 @@ def scan_designs(scenes: list[Scenario], names: tuple, values: np.ndarray, wishe
 
 
 class Climb:
-    """The optimisation of one shape of ramp, over all scenarios, in unit coordinates of the ranges."""
+    """The optimisation for one structure of ramp, over all scenarios, in unit coordinates of the ranges."""
 
     def __init__(self, kind: Kind, scenes: list[Scenario], axes: list, wishes: Wishes, weights):
         self.kind, self.scenes, self.axes, self.wishes = kind, scenes, axes, wishes
         self.names = tuple(a.name for a in axes)
-        self.held = weights  # which scenarios must fulfil the constraints
+        self.held = weights  # which scenarios must satisfy the constraints
         self.known: list = []
         self.evaluations = 0
         self.feasible: tuple | None = None
@@ -115,7 +115,7 @@ class Climb:
         return np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs])
 
     def seed(self, z, begin: list) -> bool:
-        """Begins at z from unknowns of every scenario; whether they are met."""
+        """Starts at z from unknowns of every scenario; whether Newton converges."""
         found = self._measured(z, begin)
         if found is not None:
             self.known.append((np.array(z), found))
@@ -133,7 +133,7 @@ class Climb:
         return found
 
     def at(self, z, halvings: int = 5):
-        """Measures at z, from the nearest design known, through designs on the way where Newton asks for it."""
+        """Measures at z, starting from the nearest known design, with intermediate designs if Newton does not converge."""
         z = np.array(z, float)
         near = min(self.known, key=lambda k: np.abs(k[0] - z).max())
         if np.array_equal(near[0], z):
@@ -149,7 +149,7 @@ class Climb:
         return found
 
     def _ahead(self, near: tuple, z) -> list[np.ndarray]:
-        """The unknowns at z along the tangents of a design that was met, or those there where that leads far."""
+        """The unknowns at z extrapolated along the tangents of a known design, or its own unknowns if they change too much."""
         place, found = near
         step = self.place(z)[0] - self.place(place)[0]
         guesses = []
@@ -159,13 +159,13 @@ class Climb:
         return guesses
 
     def unknowns(self, z) -> list[np.ndarray]:
-        """The unknowns of every scenario at a design that `at` has met."""
+        """The unknowns of every scenario at a design that `at` has computed."""
         z = np.array(z, float)
         found = next(found for place, found in self.known if np.array_equal(place, z))
         return [m.unknowns[0] for m in found]
 
     def rows(self, z):
-        """Growth (scenarios,) and its derivatives by z, and of every constraint: name, scenario, value ≥ 0, derivative."""
+        """Growth (scenarios,) and its derivatives by z, and for every constraint: name, scenario, value ≥ 0, derivative."""
         found = self.at(z)
         if found is None:
             return None
@@ -190,7 +190,7 @@ class Climb:
         return np.array(growth), np.array(by_z), limits
 
     def run(self, z) -> tuple | None:
-        """Climbs from z; the best design met that fulfils everything: z and objective."""
+        """Runs SLSQP from z; returns the best feasible design that was computed: z and objective."""
         count, scenes = len(z), len(self.scenes)
         rows = self.rows(z)
         if rows is None:
@@ -242,7 +242,7 @@ class Climb:
         return None if self.feasible is None else self._polished(*self.feasible)
 
     def _polished(self, z: np.ndarray, reached: float) -> tuple:
-        """The design moved onto the constraints that it all but meets, where Newton's method on them stays there."""
+        """The design moved by Newton onto its nearly active constraints, if it stays close and feasible."""
         place = np.where(z < _AT_END, 0.0, np.where(z > 1 - _AT_END, 1.0, z))
         for _ in range(3):
             rows = self.rows(place)
@@ -265,7 +265,7 @@ class Climb:
 
 
 def inwards(climb: Climb, z: np.ndarray) -> np.ndarray:
-    """A step that leaves every constraint that holds with equality, bounds too."""
+    """A step away from every active constraint, including bounds."""
     rows = climb.rows(z)
     active = [s / (np.linalg.norm(s) + 1e-300) for _, j, v, s in rows[2] if climb.held[j] and v < NEAR] if rows else []
     normals = [*active, *(np.eye(len(z))[z <= 0]), *(-np.eye(len(z))[z >= 1])]

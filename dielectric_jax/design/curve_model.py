@@ -1,8 +1,8 @@
 """Pressures of a membrane at measured volumes, and their exact derivatives by its constants.
 
 The pressure at a volume is that of the equilibrium at the voltage of the experiment, from the explicit map: λa by Newton on
-V(λa; θ) = V_i, then p(λa; θ). Its derivatives by the constants θ follow from the implicit rule,
-dp/dθ = ∂p/∂θ − (∂p/∂λa) (∂V/∂θ)/(∂V/∂λa), through forward-mode autodiff of the map.
+V(λa; θ) = V_i, then p(λa; θ). Its derivatives by the constants θ follow from the implicit function theorem,
+dp/dθ = ∂p/∂θ − (∂p/∂λa) (∂V/∂θ)/(∂V/∂λa), with forward-mode autodiff of the map.
 """
 
 from collections.abc import Sequence
@@ -24,12 +24,12 @@ _STEPS = (
     48.0,
     96.0,
     192.0,
-)  # of the explicit map; all but far beyond the peak of unlimited materials the first do
+)  # of the explicit map; the first suffices except far beyond the peak of unlimited materials
 _ACCURATE = 1e-6  # relative, of volumes and pressures
 _FLATTEST = 1e-8  # λa − λ0 below which the explicit map loses its digits
-LEAST_VOLUME = 5e-4  # the volume there, in A³; pressures below are none that a gauge could read
+LEAST_VOLUME = 5e-4  # the volume there, in A³; no gauge could measure the pressures below it
 _SIZES = (32, 64, 128, 256)  # numbers of volumes for which programs are compiled; more points are interpolated
-_FARTHEST = 2.0**14  # by which a starting value is raised at most
+_FARTHEST = 2.0**14  # largest factor by which a starting value is raised
 
 
 def _logs(above, material, prestretch, q, steps):
@@ -50,7 +50,7 @@ def _table(membrane, q, top, steps):
 def _pressures(material, prestretch, volume, q, near, steps):
     """p of the equilibria at the volumes (n,) and load q, where V rises with λa, and log(λa − λ0) there.
 
-    `near` is log(λa − λ0) to start from. NaN where there is none. Differentiable in the material's constants, the
+    `near` is log(λa − λ0) to start from. NaN where there is no state. Differentiable in the material's constants, the
     prestretch and q, in forward mode.
     """
     goal, frozen = jnp.log(volume), jax.lax.stop_gradient((material, prestretch, q))
@@ -69,13 +69,13 @@ def _pressures(material, prestretch, volume, q, near, steps):
     value = _logs(above, material, prestretch, q, steps)
     apex = jax.lax.stop_gradient(prestretch + jnp.exp(above))
     found = (jnp.abs(value[0] - goal) < 1e-4) & (slope[0] > 0) & jax.lax.stop_gradient(material).admissible(apex, apex)
-    # the last step of Newton, with the slopes held: its derivative is that of the implicit function
+    # a last Newton step with fixed slopes: its derivative is that of the implicit function
     pressure = jnp.exp(value[1] + slope[1] / slope[0] * (goal - value[0]))
     return jnp.where(found, pressure, jnp.nan), above
 
 
 def _put(membrane: Membrane, values: dict):
-    """Material and prestretch with the constants put in."""
+    """Material and prestretch with these constants."""
     own = {n: v for n, v in values.items() if n not in ("prestretch", "shear_modulus")}
     return with_constants(membrane.material, own), values.get("prestretch", membrane.prestretch)
 
@@ -84,8 +84,8 @@ def _put(membrane: Membrane, values: dict):
 def _model(free, membrane, volume, q_scale, near, steps, names, logs):
     """The model's pressures (n,), their Jacobian (n, m) by the free parameters, and log(λa − λ0).
 
-    `names` of the parameters, and whether each is the logarithm of its constant, are static. With a shear modulus μ among
-    the names pressures are in units of H/A, and q = q_scale/μ.
+    The `names` of the parameters, and whether each is the logarithm of its constant, are static. If a shear modulus μ is
+    among the names, pressures are in units of H/A, and q = q_scale/μ.
     """
 
     def model(free):
@@ -102,9 +102,9 @@ def _model(free, membrane, volume, q_scale, near, steps, names, logs):
 class CurveModel:
     """The pressures of a membrane at given volumes, as a function of free parameters: its constants or their logarithms.
 
-    A constant whose negative the material refuses is sought by its logarithm, unless it starts at zero; `lowest` are the
-    lower limits of the free parameters. More volumes than programs are compiled for
-    are reached by quintic splines through log V of states at 256 nodes, whose error is far below that of a gauge.
+    A constant that the material refuses when negative is fitted by its logarithm, unless it starts at zero; `lowest` are the
+    lower limits of the free parameters. For more than 256 volumes, the states at 256 nodes are interpolated by quintic
+    splines in log V, whose error is far below that of a gauge.
     """
 
     def __init__(self, membrane: Membrane, names: Sequence[str], volume: np.ndarray, q_scale: float, shear: float):
@@ -131,7 +131,7 @@ class CurveModel:
         return value_of(self.membrane.material, name)
 
     def _is_positive(self, name: str) -> bool:
-        """Whether the material refuses a negative number in the constant's place."""
+        """Whether the material refuses a negative value of the constant."""
         return name != "prestretch" and not self._allows({name: -max(abs(self.start[name]), 1e-3)})
 
     def _lowest(self, name: str, log: bool) -> float:
@@ -140,7 +140,7 @@ class CurveModel:
             return 1.0
         if log or not self._is_positive(name):
             return -np.inf
-        self.start[name] = 1e-2  # a positive constant that starts at zero
+        self.start[name] = 1e-2  # for a positive constant that starts at zero
         return 0.0
 
     def _allows(self, values: dict) -> bool:
@@ -163,12 +163,12 @@ class CurveModel:
             return {n: float(np.exp(x)) if log else float(x) for n, log, x in pairs}
 
     def membrane_of(self, values: dict) -> Membrane:
-        """The membrane with the constants put in."""
+        """The membrane with these constants."""
         material, prestretch = _put(self.membrane, values)
         return Membrane(jax.tree.map(np.asarray, material), float(prestretch), self.membrane.breakdown)
 
     def _states(self, values: dict, steps: float) -> tuple[np.ndarray, np.ndarray]:
-        """log(λa − λ0) of nodes (n,), and log V and log p (2, n) of the states there; NaN where there is none."""
+        """log(λa − λ0) of nodes (n,), and log V and log p (2, n) of the states there; NaN where there is no state."""
         material, prestretch = _put(self.membrane, values)
         film = eqx.tree_at(
             lambda m: (m.material, m.prestretch), self.membrane, (material, jnp.asarray(prestretch, float))
@@ -179,7 +179,7 @@ class CurveModel:
         return np.asarray(nodes), np.asarray(logs)
 
     def largest_volume(self, values: dict) -> float:
-        """The largest volume at which the membrane has a state; 0 where it has none. Keeps the states as starts."""
+        """The largest volume at which the membrane has a state; 0 if there is none. Keeps the states as starting values."""
         nodes, (volumes, _) = self._states(values, self._steps)
         good = np.isfinite(volumes)
         if good.sum() < 2:
@@ -189,7 +189,7 @@ class CurveModel:
         return float(np.exp(rising[-1]))
 
     def refine(self, values: dict) -> bool:
-        """Takes as many steps as these constants need; true where they are more than before."""
+        """Sets the number of steps that these constants need; true if it is larger than before."""
         before = self._steps
         for self._steps in _STEPS[_STEPS.index(before) :]:
             once, twice = (self._states(values, n * self._steps)[1] for n in (1, 2))
@@ -200,10 +200,10 @@ class CurveModel:
         return self._steps > before
 
     def reachable_start(self) -> dict[str, float]:
-        """Starting values from which every measured volume has a state, the membrane's own where they do.
+        """Starting values for which every measured volume has a state: the membrane's own values if possible.
 
-        Else the positive constants, one after another, are raised until the material reaches the largest volume.
-        Raises ValueError where that does not help.
+        Otherwise the positive constants are raised, one after another, until the material reaches the largest volume.
+        Raises ValueError if that does not help.
         """
         reached = self.largest_volume(self.start)
         if reached > self._largest:
@@ -213,14 +213,14 @@ class CurveModel:
             for name, log in zip(self.names, self.logs, strict=True):
                 values = self.start | {name: factor * self.start[name]}
                 if log and self._allows({n: v for n, v in values.items() if n != "shear_modulus"}):
-                    # room beyond the largest volume, where the film would be at its limit
+                    # margin beyond the largest volume, where the film would be at its limit
                     if self.largest_volume(values) > 1.3 * self._largest:
                         return values
             factor *= 2
         raise ValueError(self._unreachable(reached))
 
     def scaled(self, values: dict[str, float], pressure: np.ndarray) -> dict[str, float]:
-        """The constants with the shear modulus of about the measured pressures, which at zero voltage are proportional to it."""
+        """The constants with a shear modulus matched to the measured pressures, which at zero voltage are proportional to it."""
         if "shear_modulus" not in self.names or self._q_scale:
             return values
         fit = self(self.free_of(values))[0]
@@ -236,7 +236,7 @@ class CurveModel:
         return (
             f"`membrane` must have states up to the largest measured volume, {self._largest:.4g} A³, but with {told or 'this material'} "
             f"it {state}; "
-            + (f"seek {' or '.join(held)} too, raise it, or " if held else "")
+            + (f"also fit {' or '.join(held)}, raise it, or " if held else "")
             + "check the units of the volumes and the membrane's radius and prestretch."
         )
 

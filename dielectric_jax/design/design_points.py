@@ -1,7 +1,7 @@
-"""The events of a ramp on the sheet as functions of a design, with their derivatives by the implicit function theorem.
+"""The events of a ramp on the surface as functions of a design, with their derivatives by the implicit function theorem.
 
-Unknowns of a ramp with n snaps: the start λs, for each snap its fold (λ1, q1) and landing λ2, breakdown λb, and where the way
-down is asked about the fold (λf, qf) that a snap-back leaves from. They solve F(u; θ) = 0, so that du/dθ = −F_u⁻¹ F_θ.
+Unknowns of a ramp with n snaps: the start λs, for each snap its fold (λ1, q1) and landing λ2, breakdown λb, and, if the way
+down matters, the fold (λf, qf) at which a snap-back starts. They solve F(u; θ) = 0, so that du/dθ = −F_u⁻¹ F_θ.
 """
 
 import functools
@@ -18,18 +18,18 @@ __all__ = ["Kind", "Measures", "begin_of", "measure"]
 
 
 class Kind(typing.NamedTuple):
-    """The shape of a ramp: how many snaps, and whether the way down has a fold that is asked about."""
+    """The structure of a ramp: the number of snaps, and whether the fold on the way down is among the unknowns."""
 
     snaps: int
     back: bool
 
 
 class Measures(typing.NamedTuple):
-    """What an optimisation asks of designs: numbers (n,) and their derivatives (n, parameters), in pairs.
+    """The quantities that an optimisation needs of designs: numbers (n,) and their derivatives (n, parameters), in pairs.
 
-    `growth` is 2 log(λb/λs); `start` the slope c′ at the start, positive where it is stable; for each snap `fold`, log (E/E_EB)²
-    at it, `landing`, the same where it lands, `sharpness`, −c″ at it, zero where it merges with another; `back` the q of the
-    snap-back. `rates` are the derivatives of the `unknowns`.
+    `growth` is 2 log(λb/λs); `start` the slope c′ at the start, positive if it is stable; for each snap `fold` is log (E/E_EB)²
+    at its fold, `landing` the same at its landing, and `sharpness` is −c″ at the fold, zero where it merges with another; `back`
+    is q of the snap-back. `rates` are the derivatives of the `unknowns`.
     """
 
     names: tuple
@@ -70,7 +70,7 @@ def begin_of(kind: Kind, ramps: Ramps, which: np.ndarray) -> np.ndarray:
 
 
 def _points(kind: Kind) -> tuple:
-    """The points of the sheet that the equations read."""
+    """The points at which the equations evaluate the surface."""
     points: list = [(0, -1)]
     for k in range(kind.snaps):
         points += [(1 + 3 * k, 2 + 3 * k), (3 + 3 * k, 2 + 3 * k)]

@@ -1,7 +1,7 @@
 """Many designs at once: their ramps on the surfaces of their membranes, and the regime of each.
 
-The surface gives the ramps of most designs. Those that it does not decide go through continuation side by side, and what
-that leaves open through whole diagrams.
+The surface gives the ramps of most designs. Designs that it cannot decide are decided by batched continuation, and those that
+continuation leaves open by whole diagrams.
 """
 
 import contextlib
@@ -28,7 +28,7 @@ __all__ = [
     "surface_over",
 ]
 
-_TYPICAL = 5.0  # a stretch at which breakdown laws are compared
+_TYPICAL = 5.0  # stretch at which breakdown laws are compared
 
 
 class Designs(typing.NamedTuple):
@@ -63,21 +63,21 @@ def _row(stacked_scenes, which):
 
 
 def surface_over(scene: Scene, over: dict, given: typing.Any) -> Surface | SurfaceFamily | None:
-    """One surface, or family, for all designs over ranges of parameters, where one serves; else None."""
+    """One surface or family for all designs over ranges of parameters, or None if one is not enough."""
     if given is not None or any(change_of(n) is Change.MATERIAL for n in over):
         return given
     if "prestretch" in over:
         low, high = over["prestretch"]
         law = scene.membrane.breakdown
         return SurfaceFamily.build(scene.membrane.material, prestretch=(low, high), breakdown=law)
-    # the law decides how far the surface goes: the strongest of the corners'
+    # the breakdown law determines the extent of the surface: use the strongest of the corners
     corners = [dict(zip(over, values, strict=True)) for values in itertools.product(*over.values())]
     films = [scene.replace(**corner).membrane for corner in corners]
     return _built(MembraneKey.of(max(films, key=lambda film: float(field_on(film.breakdown, _TYPICAL)))))
 
 
 def surface_for(membrane: Membrane, given: typing.Any) -> Surface:
-    """The surface of a membrane: the one given, a family's section, or one that is built; with the membrane's own law."""
+    """The surface of a membrane, given, taken from a family, or built, with the membrane's own breakdown law."""
     if isinstance(given, SurfaceFamily):
         key = MembraneKey.of(Membrane(given.material, float(membrane.prestretch), given.breakdown))
         found = _section(ById(given), key)
@@ -107,7 +107,7 @@ def _built(key: MembraneKey) -> Surface:
 
 @functools.lru_cache(maxsize=64)
 def _with_law(surface: ById, key: MembraneKey) -> Surface:
-    """The same sheet under another breakdown law."""
+    """The same surface with another breakdown law."""
     return dataclasses.replace(surface.value, membrane=key.membrane)
 
 
@@ -116,8 +116,8 @@ def classify_designs(
 ) -> Designs:
     """The regimes of many designs: `scene` with the named parameters at the values of arrays of one shape (n,).
 
-    With `whole=False` what the surface does not decide stays `not_decided`. A `surface` of the membrane (or a family, where
-    the prestretch varies) is built where none is given. Raises ValueError for parameters the scene does not take.
+    With `whole=False`, designs that the surface cannot decide stay `not_decided`. A `surface` of the membrane (or a family,
+    if the prestretch varies) is built if none is given. Raises ValueError for parameters that the scene does not have.
 
     >>> from dielectric_jax import Membrane, Regime
     >>> scene = Scene(Membrane(), Chamber(volume=1600.0, initial_volume=2.42))
@@ -133,7 +133,7 @@ def classify_designs(
 
 
 def designs_on_surfaces(scene: Scene, parameters: dict, *, surface: Surface | SurfaceFamily | None) -> Designs:
-    """Designs as far as the surfaces of their membranes decide them."""
+    """Designs, decided as far as the surfaces of their membranes can."""
     if not isinstance(scene.loading, (Chamber, ConstantPressure)):
         raise ValueError(f"`loading` must be a Chamber or a ConstantPressure here, but is {scene.loading!r}.")
     stacked_scenes = designs_of(scene, parameters)
@@ -161,7 +161,7 @@ def _left(found: Designs) -> np.ndarray:
 
 
 def by_continuation(found: Designs) -> None:
-    """Settles in place the regimes of designs that no surface decides, by continuation side by side."""
+    """Determines in place the regimes of designs that no surface decides, by batched continuation."""
     left = _left(found)
     if len(left):
         batch = continue_scenes([jax.tree.map(lambda v, i=i: np.float64(v[i]), found.scenes) for i in left])
@@ -169,7 +169,7 @@ def by_continuation(found: Designs) -> None:
 
 
 def by_diagrams(found: Designs) -> None:
-    """Settles in place the regimes that continuation leaves open, by whole diagrams one after the other."""
+    """Determines in place the regimes that continuation leaves open, by whole diagrams one after the other."""
     for i in _left(found):
         with contextlib.suppress(SceneError):
             found.regime[i] = int(regime_of(jax.tree.map(lambda v, i=i: np.float64(v[i]), found.scenes)))

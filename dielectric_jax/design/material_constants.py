@@ -1,4 +1,4 @@
-"""A material's constants by name: the numbers in the leaves of its pytree, whoever wrote its class."""
+"""A material's constants by name: the numbers in the leaves of its pytree, also for user-defined classes."""
 
 from collections.abc import Mapping, Sequence
 
@@ -18,17 +18,18 @@ def _is_number(leaf) -> bool:
 
 
 def _word(key) -> str:
-    """One step of a leaf's path: a field's name, a key, or a place."""
+    """One step of a leaf's path: a field's name, a key, or an index."""
     if isinstance(key, jax.tree_util.SequenceKey):
         return f"[{key.idx}]"
     return str(getattr(key, "name", getattr(key, "key", key)))
 
 
 def constants_of(material) -> dict[str, tuple[int, int | None]]:
-    """The names of a material's numbers, each with its leaf and, in a vector, its place there.
+    """The names of a material's numbers, each with its leaf and, in a vector, its index there.
 
-    A field is named as it is, an entry of a tuple or vector `name[0]`; the elasticity of a dielectric has the names of its
-    own; a name that would be of two, or of a prestretch or shear modulus, begins with `material.` and the fields on the way. Fields marked static are no constants.
+    A field has its own name, an entry of a tuple or vector `name[0]`; the elastic part of a dielectric keeps its names. An
+    ambiguous name, or that of a prestretch or shear modulus, begins with `material.` and the fields on the path. Static fields
+    are not constants.
 
     >>> from dielectric_jax import Ogden
     >>> list(constants_of(Ogden(moduli=(0.9, -0.1), exponents=(2.0, -2.0))))
@@ -45,7 +46,7 @@ def constants_of(material) -> dict[str, tuple[int, int | None]]:
             found.append((words, (leaf, None)))
         else:
             found += [([*words[:-1], f"{words[-1]}[{i}]"], (leaf, i)) for i in range(np.shape(value)[0])]
-    # as if there were others of the names that no material has of its own
+    # names that no material may use count as taken
     last = [words[-1] for words, _ in found] + ["prestretch", "shear_modulus"]
     return {w[-1] if last.count(w[-1]) == 1 else ".".join(["material", *w]): place for w, place in found}
 
@@ -58,7 +59,7 @@ def value_of(material, name: str) -> float:
 
 
 def with_constants(material, values: Mapping):
-    """The material with numbers put in by name, of any kind: traced ones too, and none is checked."""
+    """The material with numbers replaced by name; they may be traced, and are not checked."""
     places = constants_of(material)
     leaves, tree = jax.tree.flatten(material)
     for name, value in values.items():
@@ -69,12 +70,12 @@ def with_constants(material, values: Mapping):
 
 
 def as_arrays(material):
-    """The material with every number an array: a plain number would be compiled in."""
+    """The material with every number as an array: a Python number would be compiled as a constant."""
     return jax.tree.map(lambda x: np.asarray(x, float) if _is_number(x) else x, material)
 
 
 def check_membrane(membrane: Membrane) -> None:
-    """Runs the checks of the constructors again; raises ValueError where the constants are not allowed."""
+    """Runs the checks of the constructors again; raises ValueError if the constants are not allowed."""
     try:
         for module in (membrane.material, membrane):
             for kind in type(module).__mro__:
@@ -88,14 +89,14 @@ def check_membrane(membrane: Membrane) -> None:
 
 
 def sought_constants(material, over: Sequence[str] | None, with_shear_modulus: bool) -> list[str]:
-    """The constants to be sought, by name: those of `over`, where a tuple's name stands for its entries, or the default ones.
+    """The constants to fit, by name: those of `over`, where a tuple's name stands for its entries, or the default ones.
 
-    Raises ValueError for names that are none, and for constants of which the shear modulus is the unit together with it.
+    Raises ValueError for unknown names, and for constants together with the shear modulus if it is their unit.
     """
     own = list(constants_of(material))
     allowed = [*own, "prestretch", *["shear_modulus"] * with_shear_modulus]
     if over is None:
-        # the permittivity shows at a voltage only, and hardly; exponents go with their moduli
+        # the permittivity matters only with a voltage, and hardly then; exponents are correlated with their moduli
         elastic = getattr(material, "elastic", None) if isinstance(material, AbstractDielectric) else None
         names = [n for n in own if elastic is None or n in constants_of(elastic)]
         names = [n for n in names if not n.startswith("exponents[")]
@@ -112,8 +113,8 @@ def sought_constants(material, over: Sequence[str] | None, with_shear_modulus: b
     if "shear_modulus" in names and _scale_with(material, [n for n in names if n in own]):
         joined = ", ".join(n for n in names if n != "prestretch")
         raise ValueError(
-            f"`over` must name constants that the curve tells apart, but of {joined} the shear modulus is the unit of the "
-            "others: twice the one and half of the others is the same film; leave one of them out."
+            f"`over` must name constants that the curve can separate, but of {joined} the shear modulus is the unit of the "
+            "others: twice the modulus with half of the others is the same film; leave one of them out."
         )
     return names
 

@@ -14,15 +14,15 @@ __all__ = ["BELOW_ZERO", "BRANCHES", "Measurement", "read_measurement", "runs_of
 BRANCHES = ("loading", "unloading", "all")
 
 _MISSING = {"", "-", "--", "?", "na", "n/a", "nan", "null", "none", "nil", "#n/a", "#value!", "#div/0!", "missing", "."}
-_TURN = 0.1  # a share of the largest volume: smaller reversals are noise of the volume
-_SHORTEST_RUN = 4  # points a run has at least on average, where the points are in the order of time
-BELOW_ZERO = 0.25  # a share of the largest pressure: pressures down to minus that are noise
-_ZERO = 0.01  # a share of the largest volume: volumes down to minus that are noise about the flat membrane
+_TURN = 0.1  # fraction of the largest volume: smaller reversals are noise of the volume
+_SHORTEST_RUN = 4  # least average number of points in a run if the points are in order of time
+BELOW_ZERO = 0.25  # fraction of the largest pressure: pressures down to minus that are noise
+_ZERO = 0.01  # fraction of the largest volume: volumes down to minus that are noise about the flat membrane
 
 
 @dataclasses.dataclass(frozen=True)
 class Measurement:
-    """Volumes and pressures (n,) of a file, in the order of its lines, and what was left out.
+    """Volumes and pressures (n,) of a file, in the order of its lines, and notices about what was left out.
 
     Iterating gives `volume`, `pressure`, `in_si`: whether the file names units, so that the numbers are in m³ and Pa.
     `lines` (n,) are the points' lines in the file; `notices` are sentences on what was left out or assumed.
@@ -46,22 +46,22 @@ def read_measurement(
     branch: str | None = None,
     atmospheric_pressure: float | None = None,
 ) -> Measurement:
-    """Volumes and pressures of a text file, and whether it names units; then they are converted to SI.
+    """Volumes and pressures of a text file, and whether it names units, in which case they are converted to SI.
 
     A line above the numbers names the columns: `volume,pressure`, or with units `volume [ml],pressure [mbar]`; it may be a
-    remark, and units may stand in the next line. Columns are separated by commas, semicolons, tabs, bars or blanks;
-    decimal commas are understood where the file cannot mean anything else. Other columns, remarks (`#`, `%`, `//`) and
-    lines without one of the two numbers are left out, and so are points at zero volume. See docs/calibration.md.
+    remark, and units may be in the next line. Columns are separated by commas, semicolons, tabs, bars or blanks; decimal
+    commas are accepted if the file is unambiguous. Other columns, remarks (`#`, `%`, `//`) and lines that lack one of the two
+    numbers are left out, and so are points at zero volume. See docs/calibration.md.
 
     Args:
-        file: its path.
-        columns: the columns of volume and pressure, by their whole heads or their places (1 is the first).
-        column_units: their units, such as ("ml", "kPa"), where the file does not name them.
-        atmospheric_pressure: subtracted from absolute pressures; in Pa where there are units.
-        branch: "loading" or "unloading" where the volume rises and falls, or "all"; by default loading.
+        file: path of the file.
+        columns: the columns of volume and pressure, by their full headings or their positions (1 is the first).
+        column_units: their units, such as ("ml", "kPa"), if the file does not name them.
+        atmospheric_pressure: subtracted from absolute pressures; in Pa if there are units.
+        branch: "loading" or "unloading" if the volume rises and falls, or "all"; by default loading.
 
     Raises:
-        ValueError: for a file that holds no such columns, or something that is no number, with its line.
+        ValueError: for a file without such columns, or with an entry that is not a number, with its line.
     """
     path = pathlib.Path(file)
     if branch is not None and branch not in BRANCHES:
@@ -91,7 +91,7 @@ def read_measurement(
 
 
 def _cells(path, lines: list[Line], table: Table) -> tuple[list[tuple[str, str]], list[int]]:
-    """The two cells of every row, bare, and the numbers of their lines."""
+    """The two cells of every row, without blanks, and the numbers of their lines."""
     cells, where = [], []
     for line in lines:
         if line.remark:
@@ -100,7 +100,7 @@ def _cells(path, lines: list[Line], table: Table) -> tuple[list[tuple[str, str]]
         if full(row) > table.width:
             raise ValueError(
                 f"`data` must hold a number in each cell, but line {line.number} of {path} has {full(row)} cells under "
-                f"{table.width} heads, as where a comma in a number is also the separator."
+                f"{table.width} headings, as if a comma in a number were also the separator."
             )
         row += [""] * (max(table.places) + 1 - len(row))
         cells.append((bare(row[table.places[0]]), bare(row[table.places[1]])))
@@ -113,7 +113,7 @@ def _is_missing(cell: str) -> bool:
 
 
 def _decimal_sign(path, cells, where) -> str:
-    """The sign "." or ",", whichever the file's numbers can only mean; refuses files that mean both, or that may mean either."""
+    """The decimal sign of the file, "." or ","; refuses files that use both, and ambiguous ones."""
     seen: dict[str, int] = {}
     unclear = 0
     for pair, number in zip(cells, where, strict=True):
@@ -145,7 +145,7 @@ def _decimal_sign(path, cells, where) -> str:
 
 
 def _value(cell: str, sign: str) -> float | None:
-    """The number of a cell; None where it is none."""
+    """The number in a cell; None if it is not a number."""
     found = NUMBER.fullmatch(cell)
     if not found:
         return None
@@ -157,7 +157,7 @@ def _value(cell: str, sign: str) -> float | None:
 
 
 def _numbers(path, rows, table: Table) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Numbers (2, n), their lines, and what is said of the lines left out."""
+    """Numbers (2, n), their lines, and notices about the lines left out."""
     cells, where = rows
     sign = _decimal_sign(path, cells, where)
     values, kept, empty = [], [], []
@@ -219,14 +219,14 @@ def _positive(path, volume, pressure, where) -> tuple[np.ndarray, list[str]]:
 
 
 def runs_of(volume: np.ndarray) -> list[tuple[int, int, bool]]:
-    """Runs of points (first, behind the last, whether the volume rises) between turns of the volume by more than its noise.
+    """Runs of points (first, one past the last, whether the volume rises) between reversals larger than the noise.
 
-    One run for points in no order of time.
+    A single run if the points are not in order of time.
 
     >>> runs_of(np.array([1.0, 2.0, 3.0, 4.0, 5.0, 5.0, 4.0, 3.0, 2.0, 1.0]))
     [(0, 5, True), (5, 10, False)]
     """
-    begin = peak = sign = 0  # the run's first point, its extreme so far, and 1 where it rises, −1 where it falls
+    begin = peak = sign = 0  # the run's first point, its extremum so far, and 1 if it rises, −1 if it falls
     step, runs = _TURN * float(np.max(volume, initial=0.0)), []
     for i, v in enumerate(volume):
         if sign == 0:
@@ -242,7 +242,7 @@ def runs_of(volume: np.ndarray) -> list[tuple[int, int, bool]]:
 
 
 def _on_branch(volume: np.ndarray, where: np.ndarray, branch: str | None) -> tuple[np.ndarray, list[str]]:
-    """Which points are on the branch that is asked for, and what is said of the others."""
+    """Which points are on the requested branch, and notices about the others."""
     runs = runs_of(volume)
     keep = np.ones(len(volume), bool)
     if branch == "all" or (len(runs) == 1 and (branch is None or runs[0][2] == (branch == "loading"))):
@@ -252,7 +252,7 @@ def _on_branch(volume: np.ndarray, where: np.ndarray, branch: str | None) -> tup
         keep[first:behind] = rises == rising
     if not keep.any():
         raise ValueError(
-            f"`branch` must be one that the data hold, but the volume never {'rises' if rising else 'falls'}."
+            f"`branch` must be one that the data contain, but the volume never {'rises' if rising else 'falls'}."
         )
     turns = _lines_text([int(where[first]) for first, _, _ in runs[1:]])
     kind, other = ("loading", "unloading") if rising else ("unloading", "loading")

@@ -1,4 +1,4 @@
-"""Designs for any objective: a function of a scene that JAX differentiates, made of the critical points or anything else."""
+"""Designs for any objective: a function of a scene that JAX can differentiate, of critical points or anything else."""
 
 import typing
 from collections.abc import Callable
@@ -16,7 +16,7 @@ __all__ = ["Optimum", "maximise"]
 
 _STARTS = 4
 _SCAN = {1: 64, 2: 12, 3: 6}
-_FAILED = 1e3  # times the size of the best objective
+_FAILED = 1e3  # penalty, times the size of the best objective
 
 
 class Optimum(typing.NamedTuple):
@@ -29,9 +29,9 @@ class Optimum(typing.NamedTuple):
 
 
 def _climb(both: Callable, low: np.ndarray, high: np.ndarray, start: np.ndarray, limits: int, size: float) -> dict:
-    """SLSQP from a design: the values and slopes of all that it met, by the bytes of the design in [0, 1]; None where NaN.
+    """Runs SLSQP from a design: values and slopes of all designs computed, by the bytes of the design in [0, 1]; None for NaN.
 
-    `both(x)` gives the objective and the constraints, and their derivatives; `size` is that of the objective.
+    `both(x)` returns the objective and the constraints, and their derivatives; `size` is the size of the objective.
     """
     seen: dict = {}
 
@@ -67,11 +67,11 @@ def _climb(both: Callable, low: np.ndarray, high: np.ndarray, start: np.ndarray,
 def maximise(
     objective: Callable, scene: Scene, over: dict, *, constraints: dict[str, Callable] | None = None
 ) -> Optimum:
-    """The design that maximises `objective(scene)`, a number, where every function of `constraints` is at least zero.
+    """The design that maximises `objective(scene)`, a number, subject to every function of `constraints` being at least zero.
 
-    The functions are differentiated by JAX; NaN means that there is no such point, and the design is left. A scan of some
-    dozen designs begins it, SciPy's SLSQP climbs from the best four. Raises ValueError where no design of the scan has an
-    objective. For the area strain `maximise_area_strain` is quicker and knows the edges of regimes.
+    The functions are differentiated by JAX; NaN means that there is no such point, and the design is discarded. SciPy's SLSQP
+    starts from the best four designs of a scan of some dozen. Raises ValueError if no design of the scan has an objective. For
+    the area strain `maximise_area_strain` is faster and handles the boundaries of regimes.
 
     >>> from dielectric_jax import Chamber, Membrane
     >>> scene = Scene(Membrane(), Chamber(volume=1600.0, initial_volume=2.42))
@@ -100,7 +100,7 @@ def maximise(
             "`objective` must be a number somewhere in these ranges, but is NaN at every design of the scan."
         )
     size = _FAILED * np.abs(values[known, 0]).max() + 1.0
-    # what fails a constraint comes after all that fulfils it
+    # infeasible designs come after all feasible ones
     order = np.lexsort((-values[:, 0], -np.minimum(values[:, 1:].min(axis=1, initial=0.0), 0.0)))
     best: tuple | None = None
     for start in grid[[k for k in order if known[k]][:_STARTS]]:
@@ -111,7 +111,7 @@ def maximise(
             if best is None or found[0][0] > best[1][0]:
                 best = np.frombuffer(key), found[0]
     if best is None:
-        raise ValueError("`constraints` must be fulfilled by some design in these ranges, but none was found.")
+        raise ValueError("`constraints` must be satisfied by some design in these ranges, but none was found.")
     z, value = best
     active = [name for (name, _), v in zip(limits, value[1:], strict=True) if abs(v) < 1e-6]
     active += [f"{a.name}_lower" for a, v in zip(axes, z, strict=True) if v < 1e-9]

@@ -1,7 +1,7 @@
 """Maps of two parameters: which regime each design is in, and the exact curves between them.
 
-Regimes are found on a coarse grid that is refined beside every change; each edge of the fine grid between two regimes is
-then met by the equations of `boundaries`, or by bisection where none are known.
+Regimes are found on a coarse grid that is refined beside every change; on each edge of the fine grid between two regimes the
+boundary is then located by the equations of `boundaries`, or by bisection where none are known.
 """
 
 import dataclasses
@@ -57,7 +57,7 @@ def changes(whole: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def chains(links: list) -> list[list[int]]:
-    """Links between points joined into chains; a chain ends where one or more than two meet."""
+    """Joins links between points into chains; a chain ends at a point with one link or more than two."""
     beside: dict = {}
     for a, b in links:
         beside.setdefault(a, set()).add(b)
@@ -85,15 +85,15 @@ _COARSE = 8  # grid cells between designs that are classified first
 _BISECTIONS = 20
 _ISLAND = 6  # designs
 _VAGUE = 3.0  # cells
-_DECADES = 1.2  # a range wider than this many decades is divided evenly in the logarithm
+_DECADES = 1.2  # a range wider than this many decades is spaced logarithmically
 _MOST_POINTS = 10_000  # along a parameter
 _POINTS, _SURFACE_POINTS = 400, 25
 
 
 class RegimeEdge(typing.NamedTuple):
-    """Where a regime ends as one parameter rises: its value, the regimes below and above, what happens there, the error.
+    """A change of regime along one parameter: its value, the regimes below and above, the event that separates them, the error.
 
-    `error` is relative; `kind` is "" where the place was found by bisection.
+    `error` is relative; `kind` is "" if the value was found by bisection.
     """
 
     value: float
@@ -106,8 +106,8 @@ class RegimeEdge(typing.NamedTuple):
 class Boundary(typing.NamedTuple):
     """A curve between two regimes: points (n, 2) in the two parameters, in order, and the relative error of each.
 
-    Every point but those where three regimes meet lies on a line of the grid, met by the equations that `kind` names; it is
-    "" where they were found by bisection.
+    Except where three regimes meet, every point lies on a line of the grid and was located by the equations that `kind` names;
+    `kind` is "" if the points were found by bisection.
     """
 
     regimes: tuple[Regime, Regime]
@@ -120,7 +120,7 @@ class Boundary(typing.NamedTuple):
 class RegimeMap:
     """Regimes (n_y, n_x) of designs over two parameters, `values` along each, and the curves between them.
 
-    `classified` says how many designs were computed; the others lie inside cells whose corners and neighbours agree.
+    `classified` is the number of designs that were computed; the others lie inside cells whose corners and neighbours agree.
     """
 
     scene: Scene
@@ -136,7 +136,7 @@ class RegimeMap:
         return Regime(int(self.regimes[i, j]))
 
     def plot(self, *, ax=None, **options):
-        """The map as a figure, see `plot.plot_regime_map`."""
+        """Draws the map; see `plot.plot_regime_map`."""
         from ..plot import plot_regime_map
 
         return plot_regime_map(self, ax=ax, **options)
@@ -163,7 +163,7 @@ class RegimeMap:
 
 
 def even(name: str, limits, count: int) -> np.ndarray:
-    """Values of a parameter from its lower to its upper limit; even in the logarithm over wide ranges."""
+    """Evenly spaced values of a parameter from its lower to its upper limit; logarithmic over wide ranges."""
     low, high = check_range(name, limits)
     if low > 0 and np.log10(high / low) > _DECADES:
         values = np.geomspace(low, high, count)
@@ -174,7 +174,7 @@ def even(name: str, limits, count: int) -> np.ndarray:
 
 
 def check_range(name: str, limits, scene: Scene | None = None) -> tuple[float, float]:
-    """A pair (low, high) of a parameter, which the `scene` has."""
+    """A valid range (low, high) of a parameter of the `scene`."""
     if scene is not None:
         scene.path_of(name)
     try:
@@ -189,7 +189,7 @@ def check_range(name: str, limits, scene: Scene | None = None) -> tuple[float, f
 
 
 class _Known:
-    """The designs classified so far, by what they are: regimes and ramps."""
+    """The designs classified so far, with their regimes and ramps."""
 
     def __init__(self, scene: Scene, over: dict, surface, *, diagrams: bool = False):
         ranges = {name: check_range(name, limits, scene) for name, limits in over.items()}
@@ -198,10 +198,10 @@ class _Known:
         self.parts: list[Designs] = []
         self.values = np.empty((0, len(over)))
         self.regime = np.empty(0, int)
-        self.diagrams = diagrams  # whether whole diagrams decide what is left
+        self.diagrams = diagrams  # whether whole diagrams decide the remaining designs
 
     def add(self, values: np.ndarray) -> np.ndarray:
-        """Classifies designs (n, parameters); their numbers."""
+        """Classifies designs (n, parameters) and returns their numbers."""
         parameters = dict(zip(self.names, values.T, strict=True))
         found = designs_on_surfaces(self.scene, parameters, surface=self.surface)
         by_continuation(found)
@@ -220,7 +220,7 @@ class _Known:
 
 
 def _edges(known: _Known, one: np.ndarray, other: np.ndarray):
-    """Where between pairs of designs (their numbers) the regime changes: values (n, parameters), kinds, errors."""
+    """Where the regime changes between pairs of designs, given by number: values (n, parameters), kinds, errors."""
     begin, end = known.values[one], known.values[other]
     share, error = np.full(len(one), np.nan), np.full(len(one), np.nan)
     kinds = np.array(
@@ -231,11 +231,11 @@ def _edges(known: _Known, one: np.ndarray, other: np.ndarray):
     designs = known.designs()
     for kind in sorted(set(kinds[same_surface]) - {""}):
         own = np.flatnonzero((kinds == kind) & same_surface)
-        has = has_event(kind, known.regime)  # begin from there
+        has = has_event(kind, known.regime)  # start from there
         source = np.where(has[other[own]], other[own], one[own])
         guess = completed(guesses(kind, designs, source), known.values[source])
-        far = kind == LANDING_LOST  # located by shots
-        # a side that the surface did not decide may be off by a little
+        far = kind == LANDING_LOST  # located by shooting
+        # a side that the surface did not decide may be slightly off
         vague = designs.ramps.outcome == Outcome.unresolved
         beyond = np.where(vague[one[own]] | vague[other[own]] | far, _VAGUE, 0.0)
         keys = [tuple(begin[k, varying]) for k in own]
@@ -258,7 +258,7 @@ def _edges(known: _Known, one: np.ndarray, other: np.ndarray):
 
 
 def _bisect(known: _Known, one, other, share, error) -> None:
-    """Fills the places that no equations gave, by the regimes of the designs halfway."""
+    """Fills in the positions that no equations gave, by bisection with the regimes of intermediate designs."""
     todo = np.flatnonzero(np.isnan(share))
     low, high = np.zeros(len(todo)), np.ones(len(todo))
     if not len(todo):
@@ -289,11 +289,11 @@ def regime_edges(
     Args:
         scene: a chamber or a constant pressure.
         over: the parameter and its range, `{"chamber_volume": (200.0, 25000.0)}`.
-        points: designs that are classified; a regime narrower than their distance may be missed.
-        surface: of the scene's membrane; built where it is left out.
+        points: number of designs to classify; a regime narrower than their distance may be missed.
+        surface: that of the scene's membrane; built if not given.
 
     Raises:
-        ValueError: for a parameter or range that the scene does not take.
+        ValueError: for a parameter or range that the scene does not have.
 
     >>> from dielectric_jax import Chamber, Membrane
     >>> scene = Scene(Membrane(), Chamber(volume=1600.0, initial_volume=2.42))
@@ -328,12 +328,12 @@ def regime_map(
     Args:
         scene: a chamber or a constant pressure.
         over: the two parameters and their ranges, `{"chamber_volume": (200.0, 25000.0), "initial_volume": (2.0, 2.9)}`.
-        points: designs along each, by default 400; 25 along a parameter that changes the sheet of states (prestretch and the
-            constants of the material) or the breakdown law, because each value needs a surface of its own.
-        surface: of the scene's membrane, or a family where the prestretch varies; built where it is left out.
+        points: designs along each, by default 400; 25 along a parameter that changes the surface (prestretch and the
+            constants of the material) or the breakdown law, because each value needs its own surface.
+        surface: that of the scene's membrane, or a family if the prestretch varies; built if not given.
 
     Raises:
-        ValueError: for parameters or ranges that the scene does not take.
+        ValueError: for parameters or ranges that the scene does not have.
     """
     names = typing.cast("tuple[str, str]", tuple(over))
     if len(names) != 2:
@@ -359,7 +359,7 @@ def regime_map(
     while stride > 1:
         stride //= 2
         rows, columns = (ticks(n, c, stride) for n, c in zip(names[::-1], (len(y), len(x)), strict=True))
-        for _ in range(12):  # on into cells that turn out to hold a change
+        for _ in range(12):  # continue into cells that turn out to contain a change
             near = beside_change(whole, stride)[np.ix_(rows, columns)]
             near &= number[np.ix_(rows, columns)] < 0
             if not near.any():
@@ -384,7 +384,7 @@ def regime_map(
 
 
 def _join_islands(known: _Known, number, whole) -> None:
-    """Gives lone designs that no engine decides, in the sliver where two folds merge, the regime about them."""
+    """Gives isolated designs that no engine decides, in the sliver where two folds merge, the regime around them."""
     unsure = np.zeros(whole.shape, bool)
     there = number >= 0
     unsure[there] = known.regime[number[there]] == Regime.not_decided
@@ -412,7 +412,7 @@ def _counts(names, points) -> tuple[int, int]:
 
 
 def _filled(known: _Known, number, rows, columns) -> np.ndarray:
-    """Every design with the regime of the nearest on a coarse grid."""
+    """Gives every design the regime of the nearest one on a coarse grid."""
     nearest = [
         ticks[np.argmin(np.abs(np.arange(n)[:, None] - ticks[None]), axis=1)]
         for n, ticks in zip(number.shape, (rows, columns), strict=True)
@@ -439,7 +439,7 @@ def _curves(known: _Known, a, b, one, other) -> list[Boundary]:
         if len(own) == 2 and len(by_pair) == 1:
             links.setdefault(pairs[own[0]], []).append(tuple(own))
         elif len(own) > 2:
-            # three or more regimes: their curves meet somewhere in the cell
+            # three or more regimes: their curves join somewhere in the cell
             points.append(np.mean(values[own], axis=0))
             errors.append(float(np.max(np.ptp(values[own], axis=0) / np.abs(points[-1]))))
             for pair, ends in by_pair.items():

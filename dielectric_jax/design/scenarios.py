@@ -1,4 +1,4 @@
-"""What is uncertain about a design: the scenarios in which it must do, each with its scene, factors and sheet of states."""
+"""The uncertainty of a design: the scenarios in which it must work, each with its scene, factors and surface."""
 
 import dataclasses
 import itertools
@@ -20,10 +20,10 @@ _MOST = 8  # uncertain parameters, whose corners are taken
 
 @dataclasses.dataclass(frozen=True)
 class Scenario:
-    """One case: the scene with what is uncertain at its value there, and the factors of the parameters that are sought.
+    """One scenario: the scene with its values of the uncertain parameters, and the factors of the optimised parameters.
 
-    The breakdown field of `scene` is the operating field, that of `real` the law's. `surface` is the surface or family the states
-    come from; `given` the one the caller gave.
+    The breakdown field of `scene` is the operating field, that of `real` is that of the law. `surface` is the surface or family
+    of the states; `given` is the one that the caller passed.
     """
 
     scene: Scene
@@ -34,7 +34,7 @@ class Scenario:
 
 
 def value_of(scene: Scene, name: str) -> float:
-    """The value of a parameter of a scene; ValueError where it has none of that name."""
+    """The value of a parameter of a scene; raises ValueError if it has none of that name."""
     part: typing.Any = scene
     for step in scene.path_of(name):
         part = getattr(part, step, None)
@@ -44,7 +44,7 @@ def value_of(scene: Scene, name: str) -> float:
 
 
 def operated(scene: Scene, margin: float) -> Scene:
-    """The scene whose breakdown field is the operating field, 1 − margin of the law's."""
+    """The scene whose breakdown field is the operating field, 1 − margin times that of the law."""
     if margin == 0:
         return scene
     return scene.replace(breakdown_field_scale=value_of(scene, "breakdown_field_scale") * (1 - margin))
@@ -53,7 +53,7 @@ def operated(scene: Scene, margin: float) -> Scene:
 def scenarios_of(
     scene: Scene, axes: list, uncertain: dict, quantile: float | None, surface, margin: float
 ) -> list[Scenario]:
-    """The centre of the box first, then its corners, or with a quantile even samples of it."""
+    """The centre of the box first, then its corners or, with a quantile, evenly spread samples of it."""
     names = tuple(a.name for a in axes)
     for name, share in uncertain.items():
         check_between(f"uncertain[{name}]", float(share), 0.0, 0.9)
@@ -61,7 +61,7 @@ def scenarios_of(
     if quantile is not None:
         check_between("quantile", quantile, 0.0, 0.9)
         if not uncertain:
-            raise ValueError("`uncertain` must name a parameter where `quantile` is given, but names none.")
+            raise ValueError("`uncertain` must name a parameter if `quantile` is given, but names none.")
     if len(uncertain) > _MOST:
         raise ValueError(f"`uncertain` must name at most {_MOST} parameters, but names {len(uncertain)}.")
     surfaces: dict = {}
@@ -82,7 +82,7 @@ def scenarios_of(
 
 
 def _factors(uncertain: dict, quantile: float | None) -> list[dict]:
-    """Factors of the uncertain parameters, scenario by scenario."""
+    """The factors of the uncertain parameters, scenario by scenario."""
     if not uncertain:
         return [{}]
     names = list(uncertain)
@@ -95,7 +95,7 @@ def _factors(uncertain: dict, quantile: float | None) -> list[dict]:
 
 
 def _on_surface(scene: Scene, axes: list, factors: dict, given) -> Surface | SurfaceFamily:
-    """The surface of a scene, or the family over the prestretches that are sought."""
+    """The surface of a scene, or the family over the prestretches if these are optimised."""
     sought = [a for a in axes if a.name == "prestretch"]
     if not sought:
         return surface_for(scene.membrane, given)
@@ -110,5 +110,5 @@ def _on_surface(scene: Scene, axes: list, factors: dict, given) -> Surface | Sur
             )
         return given
     if given is not None:
-        raise ValueError("`surface` must be a SurfaceFamily where the prestretch is sought, but is a Surface.")
+        raise ValueError("`surface` must be a SurfaceFamily if the prestretch is optimised, but is a Surface.")
     return SurfaceFamily.build(scene.membrane.material, prestretch=(low, high), breakdown=scene.membrane.breakdown)

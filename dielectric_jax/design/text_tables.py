@@ -1,4 +1,4 @@
-"""Tables in text files as instruments and people write them: encodings, separators, and the columns of volume and pressure."""
+"""Tables in text files as written by instruments and people: encodings, separators, columns of volume and pressure."""
 
 import csv
 import dataclasses
@@ -35,7 +35,7 @@ class Line:
 
 
 def _text_of(path: pathlib.Path) -> list[tuple[str, str]]:
-    """The file's text in every encoding it may be in, the likeliest first, with their names."""
+    """The file's text in every possible encoding, the most likely first, with their names."""
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -61,11 +61,11 @@ def _text_of(path: pathlib.Path) -> list[tuple[str, str]]:
 
 
 def _lines(text: str) -> list[Line]:
-    """The lines that are not blank; a quoted cell of a head may go over a few."""
+    """The lines that are not blank; a quoted cell of a heading may span several."""
     raw, lines, i = re.split(r"\r\n|\r|\n", text), [], 0
     while i < len(raw):
         line, behind = raw[i], i + 1
-        if line.count('"') % 2:  # the quote is closed in one of the next lines, or is a sign for inches
+        if line.count('"') % 2:  # the quote is closed in one of the next lines, or stands for inches
             closing = next((k for k in range(behind, min(behind + 3, len(raw))) if raw[k].count('"') % 2), i)
             line, behind = " ".join(raw[i : closing + 1]), closing + 1
         stripped = line.strip()
@@ -89,7 +89,7 @@ def split(text: str, separator: str) -> list[str]:
 
 
 def _split_head(text: str, separator: str) -> list[str]:
-    """Heads of columns; where blanks separate them, a unit in brackets belongs to the head before it."""
+    """Column headings; if blanks separate them, a unit in brackets belongs to the heading before it."""
     text = re.sub(r"^\s*(#|%|//)+", "", text)
     if separator != "blanks":
         return split(text, separator)
@@ -97,7 +97,7 @@ def _split_head(text: str, separator: str) -> list[str]:
 
 
 def full(row: Sequence[str]) -> int:
-    """The cells of a row up to its last one that is not empty."""
+    """The number of cells of a row up to its last one that is not empty."""
     return max((i + 1 for i, c in enumerate(row) if c), default=0)
 
 
@@ -106,7 +106,7 @@ def full(row: Sequence[str]) -> int:
 
 @dataclasses.dataclass(frozen=True)
 class Table:
-    """Where the numbers are: how rows are split, places and heads of volume and pressure, and the first line of numbers."""
+    """The layout of the numbers: the separator, positions and headings of volume and pressure, and the first line of numbers."""
 
     separator: str
     places: tuple[int, int]
@@ -120,12 +120,12 @@ def _is_numeric(cell: str) -> bool:
 
 
 def bare(cell: str) -> str:
-    """A number's text without blanks and apostrophes between groups of digits, with a plain minus sign."""
+    """The text of a number without blanks and apostrophes between groups of digits, with an ASCII minus sign."""
     return re.sub(r"(?<=\d)[\s'’\u00a0\u202f](?=\d{3})", "", cell.strip().strip("'\"")).replace("−", "-")
 
 
 def _numeric_row(text: str, separator: str) -> list[str]:
-    """The cells of a line, if it may be a row of numbers: two at least, and half of it where blanks separate words too."""
+    """The cells of a line, if it may be a row of numbers: at least two, and half of it if blanks also separate words."""
     row = split(text, separator)
     count = sum(map(_is_numeric, row))
     return row if count >= 2 and ("blanks" not in separator or 2 * count >= len(row)) else []
@@ -140,7 +140,7 @@ def _first_row(lines: Sequence[Line]) -> int:
 
 
 def table_of(path, columns, column_units) -> tuple[list[Line], Table, list[str]]:
-    """The lines of the file and the table found in them, in the encoding in which columns are found."""
+    """The lines of the file and the table found in them, in the first encoding in which columns are found."""
     texts, refused = _text_of(path), None
     for encoding, text in texts:
         lines = _lines(text)
@@ -177,7 +177,9 @@ def _find_table(path, lines: list[Line], columns, column_units) -> Table:
 
 def _no_columns(path, lines: list[Line], first: int, columns) -> str:
     if columns is not None:
-        return f"`columns` must be heads in {path}, each of one column, but {' and '.join(map(repr, columns))} are not."
+        return (
+            f"`columns` must be headings of one column each in {path}, but {' and '.join(map(repr, columns))} are not."
+        )
     head = next((line for line in reversed(lines[:first]) if not line.remark), None)
     advice = "name them and their units in the first line, or give `columns` and `column_units`"
     if head is None:
@@ -191,7 +193,7 @@ def _no_columns(path, lines: list[Line], first: int, columns) -> str:
 
 
 def _ways(lines: list[Line], first: int) -> Iterator[tuple[str, int]]:
-    """How the first row of numbers may be split, and into how many cells."""
+    """The ways to split the first row of numbers, with the number of cells."""
     for separator in _SEPARATORS:
         row = _numeric_row(lines[first].text, separator)
         if row:
@@ -199,14 +201,14 @@ def _ways(lines: list[Line], first: int) -> Iterator[tuple[str, int]]:
 
 
 def _by_head(lines: list[Line], first: int, head: Line, columns) -> Table | None:
-    """The table under a head; None where the head does not name both columns."""
+    """The table under a heading line; None if the line does not name both columns."""
     unclear: ValueError | None = None
     found: list[tuple[bool, Table]] = []
     for (separator, width), of_head in itertools.product(_ways(lines, first), _SEPARATORS):
         cells = _split_head(head.text, of_head)
         if len(cells) < 2 or (separator in ("blanks", "two or more blanks") and len(cells) != width):
             continue
-        # fewer heads than cells only where the same sign separates both: the row is refused later, with its line
+        # fewer headings than cells only if the same sign separates both: the row is refused later, with its line
         if separator != of_head and full(split(lines[first].text, separator)) > len(cells):
             continue
         try:
@@ -226,7 +228,7 @@ def _by_head(lines: list[Line], first: int, head: Line, columns) -> Table | None
 
 
 def _choose(cells: list[str], columns) -> tuple:
-    """Places and heads of the two columns among heads; empty where one is missing."""
+    """Positions and headings of the two columns; empty if one is missing."""
     if columns is not None:
         wanted = [[i for i, c in enumerate(cells) if c.strip().lower() == str(n).strip().lower()] for n in columns]
         if any(len(w) != 1 for w in wanted):
@@ -257,7 +259,7 @@ def _by_place(path, lines, first: int, places: list[int], column_units) -> Table
     separator, width = next(_ways(lines, first))
     for place in places:
         if not 1 <= place <= width:
-            raise ValueError(f"`columns` must be places from 1 to {width} in {path}, but holds {place}.")
+            raise ValueError(f"`columns` must be positions from 1 to {width} in {path}, but holds {place}.")
     heads = Head("volume"), Head("pressure")
     table = Table(separator, (places[0] - 1, places[1] - 1), heads, width, first)
     named = [line for line in lines[:first] if not line.remark]
@@ -270,7 +272,7 @@ def _by_place(path, lines, first: int, places: list[int], column_units) -> Table
 
 
 def _with_units(path, lines, head: Line | None, table: Table, column_units) -> Table:
-    """The table with the units that are given, or that stand in the head, or in the line below it."""
+    """The table with the units that are given, or those in the heading or in the line below it."""
     heads = list(table.heads)
     between = [] if head is None else [line for line in lines[: table.first] if line.number > head.number]
     rows = [split(line.text, table.separator) for line in between]

@@ -22,7 +22,7 @@ _JUMPS = ("snap", "snap_back")
 
 
 def _between(diagram: Any, one: State, other: State) -> np.ndarray:
-    """States of a branch between two of its states, shape (quantities, points), both included."""
+    """The states of a branch from one of its states to another, both included; shape (quantities, points)."""
     ends = [np.array([getattr(s, n) for n in _QUANTITIES]) for s in (one, other)]
     best = None
     for branch in diagram.branches:
@@ -41,16 +41,16 @@ def _between(diagram: Any, one: State, other: State) -> np.ndarray:
     step = 1 if last >= first else -1
     inner = np.arange(first, last + step, step)
     rows = np.stack([getattr(branch, n)[inner] for n in _QUANTITIES])
-    # the nearest points may lie just outside of the two states
+    # the nearest points may lie just outside the two states
     low, high = sorted((one.apex_stretch, other.apex_stretch))
     rows = rows[:, (rows[3] > low) & (rows[3] < high) & (rows[0] >= 0)]
     return np.concatenate([ends[0][:, None], rows, ends[1][:, None]], axis=1)
 
 
 def ramp_path(diagram: Any, direction: str = "up") -> dict[str, np.ndarray]:
-    """The states a ramp holds, in order: columns of one shape, and `leg`, which counts the held pieces between jumps.
+    """The states along a ramp, in order: columns of one shape, and `leg`, which numbers the pieces between jumps.
 
-    Raises ValueError for a pressure–volume curve, and where there is no such ramp.
+    Raises ValueError for a pressure–volume curve, or if there is no such ramp.
     """
     events = diagram.ramp(direction).events
     pieces, legs = [], []
@@ -68,7 +68,7 @@ def ramp_path(diagram: Any, direction: str = "up") -> dict[str, np.ndarray]:
 
 
 def plot_ramp(diagram: Any, *, ax: Axes | None = None, units: Units | None = None, legend: bool = True) -> Axes:
-    """Draws the loop of a ramp up and back: only the states that are held, and the jumps between them.
+    """Draws the loop of a ramp up and back: only the states that the ramp goes through, and the jumps between them.
 
     Args:
         diagram: a `Diagram` of kind "voltage-volume".
@@ -112,17 +112,17 @@ def animate_ramp(
     frames: int = 40,
     seconds: float = 6.0,
 ) -> pathlib.Path:
-    """Writes a film of the balloon, coloured by E/E_EB, beside its place on the loop: GIF, or MP4 where ffmpeg is there.
+    """Writes an animation of the balloon, coloured by E/E_EB, beside its position on the loop: GIF, or MP4 with ffmpeg.
 
-    Frames are spread evenly over the logarithm of the apex stretch; jumps are cuts.
+    Frames are evenly spaced in the logarithm of the apex stretch; jumps are cuts.
 
     Args:
         diagram: a `Diagram` of kind "voltage-volume".
         path: a file name ending in .gif or .mp4.
         direction: "up" or "down".
         units: the `Units` to draw in; by default those the scene carries, else dimensionless.
-        frames: how many pictures, at least 2.
-        seconds: how long the film lasts.
+        frames: the number of frames, at least 2.
+        seconds: the duration of the animation.
 
     Returns:
         The path.
@@ -179,6 +179,6 @@ def animate_ramp(
 
 
 def _state(states: dict[str, np.ndarray], i: int) -> State:
-    """The record that a profile needs of a state: λa, p and q."""
+    """The record of a state that `profile` needs: λa, p and q."""
     q, p, volume, apex, ratio = (float(states[n][i]) for n in _QUANTITIES)
     return State(q, p, volume, apex, np.nan, np.nan, ratio, 0, np.nan)

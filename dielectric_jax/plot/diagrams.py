@@ -1,7 +1,7 @@
 """Figures of diagrams: `plot_*(data, *, ax=None, ...) -> Axes`, and whole figures laid out like the paper's.
 
 Solid lines are stable states, dashed lines unstable ones, pale lines states beyond electric breakdown. States with
-Φ² < 0, which connect branches but which no voltage reaches, are left out of voltage–volume plots.
+Φ² < 0, which connect branches but cannot be reached by any voltage, are left out of voltage–volume plots.
 """
 
 from __future__ import annotations
@@ -50,14 +50,14 @@ def plot_voltage_volume(
 ) -> Axes:
     """Draws Φ, or the charge, against V: every branch, the special points, and the ramp up and down with its snaps.
 
-    Where the volume is held the apex stretch takes its place.
+    If the volume is held, the apex stretch is drawn in its place.
 
     Args:
         diagram: a `Diagram` of kind "voltage-volume".
         ax: the axes to draw on; new ones when None.
         units: the `Units` to draw in, as kV, ml and mbar; by default those the scene carries, else dimensionless.
-        vertical: "voltage" or "charge"; when None the one that the scene controls.
-        whole: show every branch in full; otherwise the limits frame what the ramp meets.
+        vertical: "voltage" or "charge"; the one that the scene controls when None.
+        whole: show every branch in full; otherwise the limits frame the ramp.
         legend: whether to add a legend.
 
     Returns:
@@ -100,9 +100,9 @@ def plot_pressure_volume(
         diagrams: a `Diagram` of kind "pressure-volume", or a sequence of them.
         ax: the axes to draw on; new ones when None.
         units: the `Units` to draw in, as kV, ml and mbar; by default those the scene carries, else dimensionless.
-        gas_line: the pressure of the air as a function of an array of volumes, drawn dashed in black.
-        stability: dash what is unstable under prescribed pressure, and mark the special points. Otherwise the lines
-            are plain, as it should be where another loading decides on stability.
+        gas_line: the pressure of the air as a function of an array of volumes, drawn as a dashed black line.
+        stability: draw states that are unstable under prescribed pressure as dashed lines, and mark the special points.
+            Otherwise the lines are solid, as is appropriate if another loading determines the stability.
         whole: show every curve up to lock-up; otherwise the limits frame the folds.
         legend: whether to add a legend.
 
@@ -145,13 +145,13 @@ def plot_chamber(
 ) -> Figure:
     """Draws the paper's figure of one scene: membrane curves with the line of the air, and voltage against volume.
 
-    The states of the scene are where the line of the air, or of the held volume (dashed), crosses a curve of the membrane.
-    Under charge control the left panel is the voltage against the volume, with the folds of the charge.
+    The states of the scene are the crossings of the pressure–volume line of the air, or of the held volume (dashed), with the
+    curves of the membrane. Under charge control the left panel shows voltage against volume, with the folds of the charge.
 
     Args:
         diagram: a `Diagram` of kind "voltage-volume".
-        curves: diagrams of kind "pressure-volume" of the same membrane; `chamber_voltages` proposes their voltages. None
-            under charge control, where no curve of one voltage is followed.
+        curves: diagrams of kind "pressure-volume" of the same membrane; `chamber_voltages` suggests their voltages. Empty
+            under charge control, where the states do not follow a curve of constant voltage.
         figure: the figure to draw on; a new one when None.
         units: the `Units` to draw in, as kV, ml and mbar; by default those the scene carries, else dimensionless.
 
@@ -205,7 +205,7 @@ def plot_chamber(
 def plot_diagram(
     diagram: Any, curves: Sequence[Any] = (), *, figure: Figure | None = None, units: Any = None
 ) -> Figure:
-    """Draws the figure that fits the diagram's kind; `curves` and `units` as in `plot_chamber`."""
+    """Draws the figure for the kind of the diagram; `curves` and `units` as in `plot_chamber`."""
     if diagram.kind == "voltage-volume":
         return plot_chamber(diagram, curves, figure=figure, units=units)
     if curves:
@@ -216,7 +216,7 @@ def plot_diagram(
 
 
 def chamber_voltages(diagram: Any) -> list[float]:
-    """The voltages whose pressure–volume curves tell the most of a ramp: zero, at each snap up, and at its end."""
+    """The voltages whose pressure–volume curves illustrate a ramp best: zero, at each snap up, and at its end."""
     voltages = [0.0]
     for event in diagram.events:
         if event.direction == "up" and event.event in ("snap", "breakdown", "end"):
@@ -232,7 +232,7 @@ def _require_kind(diagram: Any, kind: str) -> None:
 
 
 def _held_volume(diagram: Any) -> float | None:
-    """The volume that a scene prescribes."""
+    """The volume prescribed by the scene of a diagram, None if it prescribes none."""
     held = mechanical(diagram.scene.loading)
     return float(held.volume) if isinstance(held, PrescribedVolume) else None
 
@@ -245,7 +245,7 @@ def _label(ax: Axes, vertical: str, units: Any, across: str = "volume") -> None:
 def _frame_control(
     ax: Axes, diagram: Any, points: Sequence[SpecialPoint], whole: bool, vertical: str, across: str
 ) -> None:
-    """Limits that show what the ramp meets and the special points about as far."""
+    """Sets limits that show the ramp and the special points in about the same range."""
 
     def places(what):
         return [(getattr(s, across), getattr(s, vertical)) for s in what]
@@ -266,14 +266,14 @@ def _frame_control(
 
 
 def _limit(ax: Axes, right: float, top: float) -> None:
-    """Limits from zero, a little below it so that markers on an axis are whole."""
+    """Sets limits that start slightly below zero, so that markers on an axis are not clipped."""
     right, top = right if right > 0 else 1.0, top if top > 0 else 1.0
     ax.set_xlim(-0.015 * right, right)
     ax.set_ylim(-0.015 * top, top)
 
 
 def _frame_pressure(ax: Axes, diagrams: Sequence[Any], whole: bool) -> None:
-    """Limits that show the folds; without folds, the curves up to half of their largest volume."""
+    """Sets limits that show the folds or, without folds, the curves up to half of their largest volume."""
     folds = [p for d in diagrams for p in d.special_points if p.kind == "fold"]
     branches = [b for d in diagrams for b in d.branches]
     if not branches:
@@ -292,7 +292,7 @@ def _frame_pressure(ax: Axes, diagrams: Sequence[Any], whole: bool) -> None:
 
 
 def _frame_chamber(ax: Axes, diagram: Any, curves: Sequence[Any]) -> None:
-    """Pressure limits for volumes that are framed already: the curves' peaks there, and the events."""
+    """Sets pressure limits for volumes that are already framed: the curves' peaks there, and the events."""
     v_max = ax.get_xlim()[1]
     top = [e.state.pressure for e in diagram.events]
     top += [p.pressure for c in curves for p in c.special_points if p.kind == "fold" and p.volume <= v_max]

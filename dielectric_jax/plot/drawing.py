@@ -1,4 +1,4 @@
-"""The strokes that figures are made of: lines by stability, markers of points and events, entries of a legend."""
+"""The parts of figures: lines by stability, markers of points and events, entries of a legend."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ __all__ = [
     "voltage_text",
 ]
 
-# Okabe and Ito's colours, which the colour-blind tell apart
+# Okabe and Ito's colours, which colour-blind readers can distinguish
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#000000")
 _UP, _DOWN = "#D55E00", "#56B4E9"
 _UNSTABLE = (0, (3.2, 1.8))
 GAS = (0, (7.0, 3.0))
 
-# words and symbol of a quantity, and its dimensionless form
+# name and symbol of a quantity, and its dimensionless form
 _LABELS = {
     "pressure": ("Pressure p", "Pressure p A / (μH)"),
     "voltage": ("Voltage Φ", "Voltage Φ / (H√(μ/ε))"),
@@ -62,7 +62,7 @@ _LABELS = {
     "apex_stretch": ("Apex stretch λa", "Apex stretch λa"),
 }
 
-# kind of a special point: (marker, face, word)
+# kind of a special point: (marker, face, label)
 _POINTS = {
     "fold": ("o", "white", "fold"),
     "zero_voltage": ("s", "white", "zero voltage"),
@@ -70,7 +70,7 @@ _POINTS = {
     "hoop_tension_loss": ("v", "white", "hoop tension lost"),
     "slack": ("D", "white", "slack"),
 }
-# event of a ramp: (marker, word)
+# event of a ramp: (marker, label)
 _EVENTS = {
     "start": ("o", "start"),
     "landing": ("D", "landing"),
@@ -81,31 +81,31 @@ _EVENTS = {
 
 
 def new_figure(width: float, height: float = 4.6) -> Figure:
-    """A new figure of inches."""
+    """A new figure of a size in inches."""
     import matplotlib.pyplot as plt
 
     return plt.figure(figsize=(width, height), layout="constrained")
 
 
 def new_axes(ax: Axes | None, width: float = 6.0) -> Axes:
-    """The axes to draw on, new ones when None."""
+    """The axes to draw on; new ones when None."""
     return new_figure(width).add_subplot() if ax is None else ax
 
 
 def axis_label(name: str, units: Any = None) -> str:
-    """Words, symbol and unit of a quantity."""
+    """Name, symbol and unit of a quantity."""
     words, dimensionless = _LABELS[name]
     unit = "" if units is None else units.read_name(name)
     return f"{words} / {unit}" if unit else dimensionless
 
 
 def voltage_text(voltage: float, units: Any = None) -> str:
-    """Φ = …, of a voltage that is already in the units' reading."""
+    """The label Φ = … of a voltage that is already converted to the units shown."""
     return f"Φ = {voltage:.4g}" + ("" if units is None else f" {units.read_name('voltage')}")
 
 
 def viewed(diagram: Any, units: Any = None) -> tuple[Any, Any]:
-    """What a figure shows of a diagram, in the units it is read in, and these: those given, else the scene's own."""
+    """The diagram converted to the units to be shown, and these units: those given, or else those of the scene."""
     units = getattr(diagram.scene, "units", None) if units is None else units
     if units is None:
         return diagram, None
@@ -138,11 +138,11 @@ def sequence(count: int) -> list[Any]:
 def columns(
     branch: Branch, name: str, points: Sequence[SpecialPoint], across: str = "volume"
 ) -> tuple[np.ndarray, ...]:
-    """Volume and q, Q² or p along a branch, and for each cell between two points whether it is broken and stable.
+    """Volume and q, Q² or p along a branch, and for each cell between two points whether it is beyond breakdown and stable.
 
-    `across` names another quantity for the volume. The located folds and the onset of breakdown are put in: otherwise two line styles would meet beside the turn.
-    Near q = 0 the states are evenly spaced in q, so Φ = √q would set off as a chord: that cell is refined, which is
-    exact enough because V is smooth in q.
+    `across` names another quantity in place of the volume. The located folds and the onset of breakdown are inserted, because
+    otherwise two line styles would join beside the turn. Near q = 0 the states are evenly spaced in q, so that Φ = √q would
+    begin as a straight chord: that cell is refined, which is accurate enough because V is smooth in q.
     """
     volume, value = np.asarray(getattr(branch, across), float), _values(branch, name)
     ratio = np.nan_to_num(np.asarray(branch.breakdown_ratio, float))
@@ -175,7 +175,7 @@ def columns(
 
 
 def _values(branch: Branch, name: str) -> np.ndarray:
-    """A quantity along a branch; "charge_squared" is q C², with the C of the nearest state known where q ≤ 0."""
+    """A quantity along a branch; "charge_squared" is q C², where for q ≤ 0 C is taken from the nearest state with q > 0."""
     if name != "charge_squared":
         return np.asarray(getattr(branch, name), float)
     q, charge = np.asarray(branch.voltage_squared, float), np.asarray(branch.charge, float)
@@ -187,7 +187,7 @@ def _values(branch: Branch, name: str) -> np.ndarray:
 
 
 def _side(values: np.ndarray, changes: np.ndarray, middle: np.ndarray) -> np.ndarray:
-    """The value at fractional positions: that of the cell's near end, seen from where in the cell it changes."""
+    """The value at fractional positions: that of one end of the cell, depending on the side of the change in the cell."""
     cell = np.floor(middle).astype(int)
     return np.where(middle < changes[cell], values[cell], values[cell + 1])
 
@@ -205,7 +205,7 @@ def _turn(
     value: np.ndarray,
     across: str,
 ) -> tuple[float, float, float]:
-    """Position, volume and value where the stability changes: the located fold if the cell has one, else its middle."""
+    """Position, volume and value where the stability changes: the located fold if the cell has one, or else its middle."""
     ends = np.array([[branch.volume[i], branch.apex_stretch[i]] for i in (cell, cell + 1)], float)
     room = 1e-9 * (1 + np.abs(ends).max(axis=0))
     low, high = ends.min(axis=0) - room, ends.max(axis=0) + room
@@ -222,7 +222,7 @@ def _turn(
 
 
 def draw_line(ax: Axes, x: np.ndarray, y: np.ndarray, stable: np.ndarray, broken: np.ndarray, *, colour: Any) -> None:
-    """Draws runs of cells of one style; `stable` and `broken` belong to cells, one fewer than points."""
+    """Draws runs of cells in one style; `stable` and `broken` refer to cells, one fewer than points."""
     for start, stop in _runs(2 * stable.astype(int) + broken.astype(int)):
         ax.plot(
             x[start : stop + 1],
@@ -241,7 +241,7 @@ def _runs(keys: np.ndarray) -> Iterator[tuple[int, int]]:
 
 
 def draw_points(ax: Axes, points: Iterable[SpecialPoint], name: str, across: str = "volume") -> None:
-    """Draws the marker of each special point; `name` is the quantity on the vertical axis, `across` that on the other."""
+    """Draws the marker of each special point; `name` is the quantity on the vertical axis, `across` on the horizontal one."""
     for p in points:
         marker, face, _ = _POINTS[p.kind]
         style: dict[str, Any] = (
@@ -259,7 +259,7 @@ def draw_events(
     across: str = "volume",
     gas_line: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> None:
-    """Markers at the events, and an arrow for each jump: level in voltage, along the line of the air in pressure."""
+    """Draws markers at the events and an arrow for each jump: horizontal in voltage, along the line of the air in pressure."""
     for event, following in itertools.zip_longest(events, events[1:]):
         colour = _UP if event.direction == "up" else _DOWN
         state = event.state
@@ -298,7 +298,7 @@ def _draw_jump(
 
 
 def line_entry(label: str, **style: Any) -> tuple[Any, str]:
-    """An entry of a legend: a handle and its words."""
+    """An entry of a legend: a handle and its label."""
     from matplotlib.lines import Line2D
 
     colour = style.pop("colour", "0.25")

@@ -13,17 +13,17 @@ if TYPE_CHECKING:
 
 __all__ = ["plot_fold_curves", "plot_regime_map"]
 
-_LEAST_SHARE = 0.01  # of the map: smaller areas are named in the legend
+_LEAST_SHARE = 0.01  # fraction of the map: smaller areas are named in the legend
 
 
 def plot_regime_map(data: Any, *, ax: Axes | None = None, designs: Any = (), legend: bool = True) -> Axes:
-    """Draws a `RegimeMap`: each regime an area with its name in it, the boundaries as black lines.
+    """Draws a `RegimeMap`: each regime as an area labelled with its name, the boundaries as black lines.
 
     Args:
         data: a `RegimeMap`.
         ax: the axes to draw on; new ones when None.
         designs: points (x, y) to mark with a star, such as an optimum.
-        legend: whether areas too small for their name get a legend.
+        legend: whether to name areas that are too small for a label in a legend.
 
     Returns:
         The axes.
@@ -66,7 +66,7 @@ def plot_regime_map(data: Any, *, ax: Axes | None = None, designs: Any = (), leg
     return ax
 
 
-#: kind of a point of fold curves: marker, word
+#: kind of a point of fold curves: marker, label
 _MARKS = {
     "cusp": ("^", "cusp"),
     "merger": ("D", "branches merge"),
@@ -76,12 +76,12 @@ _MARKS = {
 
 
 def plot_fold_curves(data: Any, *, ax: Axes | None = None, legend: bool = True) -> Axes:
-    """Draws `FoldCurves`: the control at folds and at breakdown over the parameter, with cusps, mergers and crossings.
+    """Draws `FoldCurves`: the control at folds and at breakdown against the parameter, with cusps, mergers and crossings.
 
     Args:
         data: a `FoldCurves`.
         ax: the axes to draw on; new ones when None.
-        legend: whether to name what is drawn.
+        legend: whether to add a legend.
 
     Returns:
         The axes. Folds beyond electric breakdown are dotted.
@@ -103,7 +103,7 @@ def plot_fold_curves(data: Any, *, ax: Axes | None = None, legend: bool = True) 
             drawn["electric breakdown"] = ax.plot(x, y, **styles["electric breakdown"])[0]
             continue
         unbroken = ratio <= 1 + 1e-9
-        # a piece beyond breakdown takes the point it shares with its neighbour
+        # a piece beyond breakdown includes the point it shares with its neighbour
         beyond = ~unbroken | np.append(~unbroken[1:], False) | np.append(False, ~unbroken[:-1])
         for name, there in (("folds", unbroken), ("folds beyond breakdown", beyond)):
             if there.any() and (name == "folds" or not unbroken.all()):
@@ -139,7 +139,7 @@ def _logarithmic(values: np.ndarray) -> bool:
 
 
 def _widest_spot(mask: np.ndarray) -> tuple[int, int, float]:
-    """The middle of the largest square in an area: row, column, and its width as a share of the map."""
+    """The centre of the largest square in an area: row, column, and its width as a fraction of the map."""
     padded = np.pad(mask.astype(int), 1)
     size = np.zeros_like(padded)
     for i in range(1, padded.shape[0]):

@@ -1,4 +1,4 @@
-"""A material's page: its curves in tension, as a balloon, as a dielectric."""
+"""A one-page summary of a material: its curves in tension, as a balloon, and as a dielectric."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _BISECTIONS = 60
 
 
 def _free_width(material: AbstractMaterial, stretch: np.ndarray) -> np.ndarray:
-    """λ2 at which s2 vanishes, for each λ1 ≥ 1: between λ1⁻¹ and 1, by bisection, because s2 rises with λ2 there."""
+    """λ2 at which s2 vanishes, for each λ1 ≥ 1, by bisection between λ1⁻¹ and 1, where s2 rises with λ2."""
     low, high = 1 / stretch, np.ones_like(stretch)
     for _ in range(_BISECTIONS):
         middle = (low + high) / 2
@@ -74,11 +74,11 @@ def plot_material(
 ) -> Figure:
     """Draws four panels: tension, the spherical balloon, the free film under voltage, and the energy of in-plane stretches.
 
-    The film's panel shows the voltage that holds it at an equal-biaxial stretch, and that at which it breaks down.
+    The panel of the film shows the voltage that holds it at an equal-biaxial stretch, and the voltage at which it breaks down.
 
     Args:
         material: the free energy.
-        breakdown: the law of the breakdown field; `VHBBreakdown()` when None, in these units where they are given.
+        breakdown: the law of the breakdown field; `VHBBreakdown()` when None, in these units if they are given.
         units: the `Units` to draw in (kPa, kV); dimensionless when None.
         largest_stretch: where the curves end; 95 % of the window's default end when None.
         figure: the figure to draw on; a new one when None.
@@ -90,7 +90,7 @@ def plot_material(
         constants = () if units is None else (1.0, units.shear_modulus, units.relative_permittivity)
         breakdown = VHBBreakdown(*constants)
     end = 0.95 * window_end(material, 1.0)[0] if largest_stretch is None else largest_stretch
-    stretch = 1 + (end - 1) * np.linspace(0.0, 1.0, 500)[1:] ** 2  # closer where balloon and film begin
+    stretch = 1 + (end - 1) * np.linspace(0.0, 1.0, 500)[1:] ** 2  # denser where balloon and film begin
     figure = new_figure(11.0, 8.4) if figure is None else figure
     panels: Any = figure.subplots(2, 2)
     stress, volt = (1.0, 1.0) if units is None else (units.read(1.0, "stress"), units.read(1.0, "voltage"))
@@ -117,7 +117,7 @@ def plot_material(
 
 
 def _energy_panel(ax: Any, material: AbstractMaterial, end: float) -> None:
-    """Contours of log W over the two stretches, blank beyond the limits."""
+    """Draws contours of log W over the two stretches, blank beyond the material's limits."""
     axis = np.linspace(0.5, end, 160)
     one, other = np.meshgrid(axis, axis)
     values = np.asarray(material.energy(one, other))

@@ -1,4 +1,4 @@
-"""Pictures of single states: the cross-section of the balloon, and what is distributed along its radius."""
+"""Pictures of single states: the cross-section of the balloon, and quantities along its radius."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _DASHES = ("-", (0, (5, 1.5)), (0, (2, 1.2)), (0, (6, 1.5, 1.5, 1.5)))
 
 
 def breakdown_latitudes(profile: Profile) -> list[float]:
-    """The undeformed radii at which E = E_EB, by linear interpolation; empty where the field stays on one side of it.
+    """The undeformed radii at which E = E_EB, by linear interpolation; empty if the field stays on one side of it.
 
     >>> from dielectric_jax import Membrane, equilibrium, profile
     >>> membrane = Membrane()
@@ -48,7 +48,7 @@ def plot_cross_section(
     reference: bool = True,
     dimensions: bool = True,
 ) -> Axes:
-    """Draws the cross-section of a balloon, coloured by a quantity, over its undeformed and its prestretched shape.
+    """Draws the cross-section of a balloon, coloured by a quantity, with its undeformed and its prestretched shape.
 
     A dashed line marks the latitude above (or below) which the field exceeds the breakdown field.
 
@@ -57,9 +57,9 @@ def plot_cross_section(
         ax: the axes to draw on; new ones when None.
         units: the `Units` to draw in (mm, MV/m, kPa); dimensionless when None.
         colour_by: a quantity of the profile such as "breakdown_ratio", "field", "stretch_1" or "stress_1"; None for a plain
-            line. The first two need a voltage, and a state without one is drawn plain.
-        limits: least and largest value of the colours; those of the profile when None.
-        colourbar: whether to add the bar that explains the colours.
+            line. The first two need a voltage; a state without one is drawn as a plain line.
+        limits: smallest and largest value of the colours; those of the profile when None.
+        colourbar: whether to add a colour bar.
         reference: whether to draw the undeformed film, and the prestretched one.
         dimensions: whether to write the height and the largest width.
 
@@ -111,7 +111,7 @@ def plot_cross_section(
 
 
 def _dimensions(ax: Axes, shown: Profile, height: np.ndarray, room: float, unit: str) -> None:
-    """The height beside the axis, and the width across the widest place."""
+    """Writes the height beside the axis, and the width at the widest point."""
     style = {"arrowstyle": "<->", "color": "0.35", "linewidth": 1, "shrinkA": 0, "shrinkB": 0}
     words: dict[str, Any] = {"fontsize": "small", "color": "0.2"}
     top, widest = float(height.max()), int(np.argmax(shown.r))
@@ -132,15 +132,15 @@ def plot_distribution(
     labels: Sequence[str] | None = None,
     legend: bool = True,
 ) -> Axes:
-    """Draws quantities along the undeformed radius R: one colour for each profile, one dash for each quantity.
+    """Draws quantities along the undeformed radius R: one colour for each profile, one line style for each quantity.
 
     Args:
         profiles: one `Profile` or several, dimensionless.
         quantity: "stretch_1", "stretch_2", "stress_1", "stress_2", "field", "breakdown_ratio", "r", "z", or several of one kind.
         ax: the axes to draw on; new ones when None.
         units: the `Units` to draw in; dimensionless when None.
-        labels: words for the profiles in the legend.
-        legend: whether to add a legend where there is more than one line.
+        labels: names of the profiles in the legend.
+        legend: whether to add a legend if there is more than one line.
 
     Returns:
         The axes.

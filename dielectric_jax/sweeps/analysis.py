@@ -1,4 +1,4 @@
-"""What a finished sweep is asked: how many of each kind, which regime, the best designs, maps, how it differs from another."""
+"""Analysis of sweeps: counts, selection by regime, best designs, maps, and comparison with another sweep."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["best_designs", "compare_sweeps", "count_sweep", "export_sweep", "plot_sweep", "select_regime"]
 
-_ROWS = 4096  # scenes of a table that are held together
+_ROWS = 4096  # scenes of a table that are in memory at once
 
 
 def _variable(data, name: str):
@@ -28,7 +28,7 @@ def _variable(data, name: str):
 
 
 def _meanings(variable) -> dict[str, int]:
-    """The names of the codes of a variable, with their numbers."""
+    """The names of the codes of a variable, and their numbers."""
     attributes = variable.attrs
     if "flag_meanings" not in attributes:
         raise ValueError(f"`{variable.name}` must be a variable of codes, but has no `flag_meanings`.")
@@ -54,7 +54,7 @@ def count_sweep(data) -> dict[str, Any]:
 def select_regime(data, *regimes: str):
     """The scenes in one of the regimes, along one dimension `scene` with every parameter as its coordinate.
 
-    `regimes` are names of `Regime`, such as "returns". Raises ValueError for others.
+    `regimes` are names of `Regime`, such as "returns". Raises ValueError for other names.
     """
     names = _meanings(data["regime"])
     for regime in regimes:
@@ -66,8 +66,8 @@ def select_regime(data, *regimes: str):
 def best_designs(data, variable: str = "area_strain", *, count: int = 10, where: Any = None, lowest: bool = False):
     """The scenes with the largest (or lowest) values of a variable, best first, along one dimension `scene`.
 
-    `where`, an array of truth values along the dimensions of the scenes, leaves the others out, such as
-    `data.landing_ratio.isel(jump=0) <= 0.8`. NaN is never among them.
+    `where`, a boolean array along the dimensions of the scenes such as `data.landing_ratio.isel(jump=0) <= 0.8`, excludes
+    scenes that do not satisfy it. Scenes whose value is NaN are excluded.
     """
     values = _variable(data, variable)
     dims = _scene_dims(data)
@@ -85,7 +85,7 @@ def best_designs(data, variable: str = "area_strain", *, count: int = 10, where:
 
 
 def _at(data, which: np.ndarray):
-    """Scenes by their numbers in the order of the grid, along one dimension `scene`."""
+    """Scenes by their positions in the order of the grid, along one dimension `scene`."""
     xarray = need("xarray")
     dims = _scene_dims(data)
     places = np.unravel_index(which, data["outcome"].shape)
@@ -100,7 +100,8 @@ def compare_sweeps(one, other) -> dict[str, Any]:
 
     Returns {"variables": {name: {"differing", "one_only", "other_only", "largest", "beyond_errors"}}, "outcome": {...}}.
     `largest` is the largest |difference|/max(|value|, 1e-3) where both have a value; `beyond_errors` counts values
-    that differ by more than ten times the larger of both errors; codes only count `differing`. Raises ValueError for sweeps of other scenes.
+    that differ by more than ten times the larger of both errors; codes only count `differing`. Raises ValueError if the
+    sweeps have different scenes.
     """
     for name in one.coords:
         if name not in other.coords or not np.array_equal(one[name].values, other[name].values):
@@ -132,11 +133,11 @@ def compare_sweeps(one, other) -> dict[str, Any]:
 
 
 def plot_sweep(data: Any, variable: str, *, x: str, y: str, ax: Axes | None = None, legend: bool = True) -> Axes:
-    """A variable over two parameters: coloured cells on a grid of both, coloured points otherwise; codes have a legend.
+    """Draws a variable over two parameters: coloured cells on a grid of both, coloured points otherwise; codes have a legend.
 
     Args:
-        data: the sweep; along other dimensions than those of `x` and `y` it must be reduced first (`sel`, `isel`).
-        variable: a variable with one value a scene, such as "regime" or "area_strain".
+        data: the sweep; dimensions other than those of `x` and `y` must be reduced first (`sel`, `isel`).
+        variable: a variable with one value for each scene, such as "regime" or "area_strain".
         x: the parameter along the horizontal axis.
         y: the parameter along the vertical axis.
         ax: the axes to draw on; new ones when None.
@@ -197,10 +198,10 @@ def _label(variable) -> str:
 
 
 def export_sweep(data, path, *, variables: Sequence[str] | None = None) -> None:
-    """Writes a sweep to a file: NetCDF where its name ends in .nc, a table of one line a scene where it ends in .csv.
+    """Writes a sweep to a file: NetCDF if its name ends in .nc, a table with one line for each scene if it ends in .csv.
 
-    A column of several values becomes several columns (`snap_voltage_0`, …); codes are told by their names. `variables`
-    are those to write; all but curves when None (NetCDF: all). Raises ValueError for another ending.
+    A variable with several values becomes several columns (`snap_voltage_0`, …); codes are written by name. `variables`
+    are those to write; all but curves when None (NetCDF: all). Raises ValueError for another suffix.
     """
     path = pathlib.Path(path)
     if variables is not None:

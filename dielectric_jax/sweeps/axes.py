@@ -1,4 +1,4 @@
-"""Where a sweep puts its scenes: axes of parameters, their products, lists, tables and samples."""
+"""The scenes of a sweep: axes of parameters, their products, lists, tables and samples."""
 
 import csv
 import dataclasses
@@ -13,12 +13,12 @@ from ..numerics import LARGEST, check_whole, shown
 
 __all__ = ["Axis", "Design", "read_scenes", "samples", "zipped"]
 
-MOST_VALUES = 10**7  # of an axis, each of which is held in memory, some of them for every scene at once
+MOST_VALUES = 10**7  # on an axis; all are held in memory, some of them for every scene at once
 _METHODS = ("sobol", "latin_hypercube", "random")
 
 
 def _checked(name: str, values) -> np.ndarray:
-    """The values of a parameter as a column; raises ValueError for what no scene can have."""
+    """The values of a parameter as a column; raises ValueError for values that no scene can have."""
     row = parameter_of(name)
     if row.many:
         raise ValueError(f"`{name}` must not vary along an axis, because its value is a list.")
@@ -69,7 +69,7 @@ class Axis:
 
     @property
     def size(self) -> int:
-        """How many places the axis has."""
+        """The number of values on the axis."""
         return next(iter(self.columns.values())).size
 
     @property
@@ -79,7 +79,7 @@ class Axis:
 
 
 def zipped(dimension: str = "scene", /, **columns) -> Axis:
-    """Parameters that vary together: the first values make the first scene, and so on.
+    """Parameters that vary together: the first scene has the first value of each, and so on.
 
     >>> zipped(chamber_volume=[800.0, 1600.0], initial_volume=[2.0, 2.42]).dimension
     'scene'
@@ -110,20 +110,20 @@ def samples(count: int, dimension: str = "scene", /, *, method: str = "sobol", s
     random = np.random.default_rng(seed)
     names = list(distributions)
     if method == "sobol":
-        # a whole power of two keeps the balance of the sequence; what is too many is left away
+        # a power of two preserves the balance of the sequence; surplus points are dropped
         unit = qmc.Sobol(max(len(names), 1), rng=random).random_base2(max(math.ceil(math.log2(count)), 0))[:count]
     elif method == "latin_hypercube":
         unit = qmc.LatinHypercube(max(len(names), 1), rng=random).random(count)
     else:
         unit = random.random((count, max(len(names), 1)))
-    unit = np.clip(unit, 0.5**54, 1 - 0.5**53)  # no infinite value of an unbounded distribution
+    unit = np.clip(unit, 0.5**54, 1 - 0.5**53)  # avoids infinite values of unbounded distributions
     return Axis(dimension, {name: distributions[name].ppf(unit[:, i]) for i, name in enumerate(names)})
 
 
 def read_scenes(path, dimension: str = "scene") -> Axis:
-    """The scenes of a table: a CSV file whose first line names parameters and whose others hold their values.
+    """The scenes of a table: a CSV file whose first line names parameters and whose other lines hold their values.
 
-    Raises ValueError that names the line of what is not a number, and for names that are no parameters.
+    Raises ValueError for entries that are not numbers, with their line, and for names that are not parameters.
     """
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:
@@ -153,7 +153,7 @@ def read_scenes(path, dimension: str = "scene") -> Axis:
 
 @dataclasses.dataclass(frozen=True)
 class Design:
-    """The product of axes around a scene that gives all other parameters.
+    """The product of axes, with a scene that provides all other parameters.
 
     Scenes lie on a grid of the axes' dimensions, and blocks are the chunks of that grid.
     """
@@ -192,11 +192,11 @@ class Design:
 
     @property
     def count(self) -> int:
-        """How many scenes there are."""
+        """The number of scenes."""
         return math.prod(self.shape)
 
     def columns(self, part: Sequence[slice]) -> dict[str, np.ndarray]:
-        """The values of the varied parameters in a part of the grid, in its order: arrays of one length."""
+        """The values of the varied parameters in a part of the grid, in grid order: arrays of one length."""
         lengths = [len(range(*own.indices(axis.size))) for own, axis in zip(part, self.axes, strict=True)]
         columns = {}
         for i, (own, axis) in enumerate(zip(part, self.axes, strict=True)):
@@ -207,7 +207,7 @@ class Design:
         return columns
 
     def chunk(self, most: int) -> tuple[int, ...]:
-        """The shape of blocks of at most `most` scenes that hold as few membranes as they can."""
+        """The shape of blocks of at most `most` scenes that contain as few membranes as possible."""
         chunk = [1] * len(self.axes)
         order = sorted(range(len(self.axes)), key=lambda i: (self.axes[i].of_membrane, -i))
         for i in order:
@@ -218,7 +218,7 @@ class Design:
         return tuple(chunk)
 
     def blocks(self, chunk: Sequence[int]) -> list[tuple[slice, ...]]:
-        """The blocks in the order of their numbers, as parts of the grid."""
+        """The blocks in order of their numbers, as parts of the grid."""
         return [
             tuple(
                 slice(i * own, min((i + 1) * own, size)) for i, own, size in zip(place, chunk, self.shape, strict=True)
@@ -227,7 +227,7 @@ class Design:
         ]
 
     def order(self, chunk: Sequence[int]) -> np.ndarray:
-        """The numbers of the blocks in an order in which those of one membrane follow each other."""
+        """The numbers of the blocks, ordered so that blocks of one membrane follow each other."""
         counts = self._counts(chunk)
         numbers = np.arange(math.prod(counts)).reshape(counts)
         slow = sorted(range(len(counts)), key=lambda i: not self.axes[i].of_membrane)
@@ -238,5 +238,5 @@ class Design:
 
 
 def axes_of(parameters: Mapping[str, typing.Any]) -> tuple[Axis, ...]:
-    """One axis for each parameter, named like it."""
+    """One axis for each parameter, with the name of the parameter."""
     return tuple(Axis(name, {name: values}) for name, values in parameters.items())

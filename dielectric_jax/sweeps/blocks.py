@@ -1,6 +1,6 @@
-"""What a worker of a sweep does: one block of scenes, from its parameters to its variables.
+"""The work of one worker of a sweep: a block of scenes, from its parameters to its variables.
 
-A block is computed alone, in calls of fixed shapes, so that its numbers do not depend on who computes it, nor on when.
+A block is computed by itself, in calls of fixed shapes, so that its numbers do not depend on which worker computes it, or when.
 """
 
 import collections
@@ -28,14 +28,14 @@ from .variables import Answer, Source, answer_of_diagram, answers_of, empty_answ
 
 __all__ = ["Job", "compute_block", "surface_of"]
 
-_KEPT = 8  # surfaces that a process keeps
+_KEPT = 8  # surfaces that a process keeps in memory
 
 
 @dataclasses.dataclass(frozen=True)
 class Job:
-    """What all blocks of a sweep have in common.
+    """The settings that all blocks of a sweep have in common.
 
-    `family` is the range of prestretches of a family from which the surfaces are taken; None where each is built alone.
+    `family` is the range of prestretches of the family from which the surfaces are taken; None if each is built separately.
     """
 
     scene: Scene
@@ -48,7 +48,7 @@ class Job:
 
 
 def make_ready(job: Job) -> None:
-    """Sets a worker's process up as the process that started the sweep: float64, and the cache folder of programs."""
+    """Configures a worker process like the process that started the sweep: float64, and the cache folder of programs."""
     if not jax.config.read("jax_enable_x64"):
         jax.config.update("jax_enable_x64", True)
     if job.cache is not None and str(enabled_folder()) != job.cache:
@@ -60,7 +60,7 @@ _lock = threading.RLock()
 
 
 def _remembered(key, make):
-    """`make()`, or what it gave for the same key a short while ago."""
+    """`make()`, or a recent result of it for the same key."""
     with _lock:
         if key not in _surfaces:
             _surfaces[key] = make()
@@ -71,7 +71,7 @@ def _remembered(key, make):
 
 
 def _once(path, build):
-    """`build()`, which keeps its answer in a file: of several processes one builds, the others read."""
+    """`build()`, which saves its result in a file: of several processes one builds, the others read."""
     if path is None or path.exists():
         return build()
     with alone(path.with_suffix(".lock")):
@@ -79,13 +79,13 @@ def _once(path, build):
 
 
 def _numbers(what) -> tuple:
-    """What tells two membranes, or materials, apart."""
+    """The numbers that distinguish two membranes or materials."""
     leaves, tree = jax.tree.flatten(what)
     return tree, tuple(np.asarray(v, float).tobytes() for v in leaves)
 
 
 def surface_of(membrane: Membrane, tolerance: float, family: tuple[float, float] | None = None) -> Surface:
-    """The surface of a membrane, kept in the process and, where the cache is on, in the cache folder.
+    """The surface of a membrane, cached in the process and, if the cache is enabled, in the cache folder.
 
     With `family` it is taken from the family of that range of prestretches.
     """
@@ -110,7 +110,7 @@ def surface_of(membrane: Membrane, tolerance: float, family: tuple[float, float]
 
 
 def _groups(names: list[str], columns: dict[str, np.ndarray], count: int):
-    """The scenes of each membrane: their places, and the values that set the membrane."""
+    """The scenes of each membrane: their positions, and the parameter values of the membrane."""
     own = [name for name in names if place_of(name)[0] != "loading"]
     if not own:
         yield np.arange(count), {}
@@ -122,7 +122,7 @@ def _groups(names: list[str], columns: dict[str, np.ndarray], count: int):
 
 
 class _Block:
-    """The scenes of a block, and their answers as they come."""
+    """The scenes of a block, and their results as they are computed."""
 
     def __init__(self, job: Job, columns: dict[str, np.ndarray]):
         self.job, self.columns = job, columns
@@ -136,11 +136,11 @@ class _Block:
                 self.answer["outcome"][which] = int(Answer.invalid_scene)
 
     def loadings(self, which: np.ndarray) -> dict[str, np.ndarray]:
-        """The varied parameters of the loading, of some scenes."""
+        """The varied parameters of the loading, for some of the scenes."""
         return {n: column[which] for n, column in self.columns.items() if place_of(n)[0] == "loading"}
 
     def scenes(self, which: np.ndarray) -> list[Scene]:
-        """The scenes of some places, in their order."""
+        """The scenes at some positions, in order."""
         places = {int(i): scene for own, scene in self.groups for i in np.intersect1d(own, which)}
         given = self.loadings(which)
         return [
@@ -153,7 +153,7 @@ class _Block:
             self.answer[name][which] = values
 
     def halved(self, compute, which: np.ndarray) -> None:
-        """Puts `compute(which)`; where computing them together ends in an error, of each half."""
+        """Stores the results of `compute(which)`; if computing the scenes together raises an error, those of each half."""
         if not which.size:
             return
         try:
@@ -187,7 +187,7 @@ class _Block:
             self.halved(compute, np.array([i]))
 
     def left(self) -> np.ndarray:
-        """The scenes that no engine has decided yet."""
+        """The scenes that no engine has decided so far."""
         ended = np.isin(self.answer["outcome"], [int(Answer.unresolved), int(Answer.breakdown_on_branch)])
         return np.flatnonzero(ended & (self.answer["regime"] == int(Regime.not_decided)))
 
@@ -198,8 +198,8 @@ _ERRORS = ValueError, ArithmeticError, LookupError, RuntimeError, TypeError
 def compute_block(job: Job, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """The variables of a block of scenes: arrays (scenes, …).
 
-    `columns` are the varied parameters. A scene that cannot be, or whose computing ends in an error, is told as such and
-    leaves the others alone.
+    `columns` are the varied parameters. A scene that is invalid, or whose computation raises an error, is reported as such;
+    other scenes are unaffected.
     """
     make_ready(job)
     block = _Block(job, columns)
@@ -215,19 +215,19 @@ def compute_block(job: Job, columns: dict[str, np.ndarray]) -> dict[str, np.ndar
 
 
 def _on_surface(job: Job, scene: Scene, loadings: dict, count: int) -> dict[str, np.ndarray]:
-    """The variables of loadings of one membrane, from its surface."""
+    """The variables of loadings on one membrane, from its surface."""
     found = empty_answer(count, job.curves)
     found["outcome"][:] = int(Answer.unresolved)
     try:
         surface = surface_of(scene.membrane, job.tolerance, job.family)
-    except ValueError:  # no part of the chart meets the tolerance
+    except ValueError:  # no part of the chart reaches the tolerance
         return found
     given = _columns_of(scene, loadings, count)
     if "initial_pressure" in given:
         filling = given.pop("initial_pressure")
         volumes = filling_volumes(surface, np.where(filling > 0, filling, 1.0))
         given["initial_volume"] = np.where(filling > 0, volumes, np.nan)
-    # a flat film is no state of the surface
+    # the states of a flat film are not on the surface
     good = np.all([np.isfinite(v) & ((v > 0) | (n == "atmospheric_pressure")) for n, v in given.items()], axis=0)
     which = np.flatnonzero(good)
     if not which.size:
@@ -255,7 +255,7 @@ def _on_surface(job: Job, scene: Scene, loadings: dict, count: int) -> dict[str,
 
 
 def _columns_of(scene: Scene, loadings: dict, count: int) -> dict[str, typing.Any]:
-    """Every parameter of the loading as a column, from those that vary and from the scene."""
+    """Every parameter of the loading as a column: those that vary, and those of the scene."""
     loading, found = scene.loading, {}
     names = [n for n, row in PARAMETERS.items() if row.path[0] == "loading" and scene.has(n)]
     filled = [name for name in ("initial_volume", "initial_pressure") if name in loadings]
@@ -270,9 +270,9 @@ def _columns_of(scene: Scene, loadings: dict, count: int) -> dict[str, typing.An
 
 
 def block_size(job: Job, count: int) -> int:
-    """How many of `count` scenes make a block: about a sixteenth, within what is quick and fits in memory; a power of two.
+    """The number of scenes in a block: about a sixteenth of `count`, within limits of speed and memory; a power of two.
 
-    It depends on the sweep alone, so that two runs of one sweep lay their stores out alike.
+    It depends on the sweep alone, so that two runs of one sweep have the same layout of their stores.
     """
     slow = job.engine == "continuation"
     least, most = (32, 128) if slow else (256, 1024 if job.curves or job.resolve else 8192)

@@ -1,4 +1,4 @@
-"""Scenes written down in TOML: tables of parameters by their published names, refused in one sentence where they are wrong."""
+"""Scenes in TOML: tables of parameters by their published names; mistakes are refused in one sentence."""
 
 import os
 import tomllib
@@ -36,7 +36,7 @@ _MATERIALS = {
     "mooney-rivlin": MooneyRivlin,
     "ogden": Ogden,
 }
-#: where the dimensionless numbers of chambers and films lie that occur
+#: the usual ranges of the dimensionless numbers of chambers and films
 _USUAL = {
     "chamber_volume": (0.1, 1e7),
     "initial_volume": (1e-3, 1e4),
@@ -49,7 +49,7 @@ _PLACES = ("loading", "membrane", "breakdown", "material")
 
 
 def read_toml(path: str | os.PathLike) -> dict[str, typing.Any]:
-    """What a file of TOML holds; raises ValueError where it cannot be read, or holds something else."""
+    """The content of a TOML file; raises ValueError if it cannot be read or is not TOML."""
     name = os.fspath(path)
     try:
         with open(path, "rb") as file:
@@ -58,7 +58,7 @@ def read_toml(path: str | os.PathLike) -> dict[str, typing.Any]:
         raise ValueError(
             f"`SPEC` must be a file that can be read, but {shown(name)} is not: {error.strerror}."
         ) from None
-    except (ValueError, RecursionError) as error:  # no TOML, no UTF-8, a name or a number that Python refuses
+    except (ValueError, RecursionError) as error:  # not TOML, not UTF-8, or a name or number that Python refuses
         raise ValueError(f"`SPEC` must be a file of TOML, but {shown(name)} is not: {error}.") from None
 
 
@@ -82,20 +82,20 @@ def number(where: str, name: str, value: typing.Any) -> float:
     place = f" in [{where}]" if where else ""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ValueError(f"`{name}`{place} must be a number, but is {shown(value)}.")
-    if not abs(value) <= LARGEST:  # also an integer that is too large for a float
+    if not abs(value) <= LARGEST:  # also false for integers too large for a float
         raise ValueError(f"`{name}`{place} must be finite and at most {LARGEST:g} in size, but is {shown(value)}.")
     return float(value)
 
 
 def one_of(where: str, name: str, value: typing.Any, allowed: typing.Iterable[str]) -> str:
-    """The value, if it is one of some words."""
+    """The value, if it is one of the allowed words."""
     if not (isinstance(value, str) and value in allowed):
         raise ValueError(f"`{name}` in [{where}] must be one of {', '.join(allowed)}, but is {shown(value)}.")
     return value
 
 
 def _pair(name: str, value: typing.Any) -> tuple[float, float] | None:
-    """The two numbers of a window; None where it is not given."""
+    """The two numbers of a window; None if it is not given."""
     if value is None:
         return None
     if not (isinstance(value, list) and len(value) == 2):
@@ -104,11 +104,11 @@ def _pair(name: str, value: typing.Any) -> tuple[float, float] | None:
 
 
 def scene_of(given: dict[str, typing.Any], constants: dict[str, typing.Any] | None = None) -> Scene:
-    """The scene of parameters by their published names, `material` and `breakdown` ("vhb" or a field), and windows.
+    """The scene with parameters by their published names, `material` and `breakdown` ("vhb" or a field), and windows.
 
     `constants` (shear_modulus, thickness, radius, permittivity, in SI) are those of the units that the scene carries; its
-    other numbers are dimensionless all the same. Without them the inverse of `describe`. Raises ValueError for names that a
-    scene does not have.
+    other numbers are dimensionless nevertheless. Without them this is the inverse of `describe`. Raises ValueError for names
+    that a scene does not have.
 
     >>> scene = scene_of({"material": "neo-hookean", "pressure": 1.5, "prestretch": 1.2})
     >>> float(scene.loading.pressure), float(scene.membrane.prestretch)
@@ -154,10 +154,10 @@ def scene_of(given: dict[str, typing.Any], constants: dict[str, typing.Any] | No
 
 
 def check_dimensionless(given: dict[str, typing.Any], constants: dict[str, typing.Any]) -> None:
-    """Refuses numbers of a scene, or lists of them, that are SI by the look of them: the documents are dimensionless.
+    """Refuses numbers of a scene, or lists of them, that look like SI: the documents are dimensionless.
 
-    A number looks so where it is far from what occurs and would not be if it were in SI. With `constants` of units, which
-    invite SI, one such number is enough; without, it takes two, for the membrane of the paper.
+    A number looks like SI if it is far outside the usual range and would be inside if it were in SI. With `constants` of
+    units, which suggest SI, one such number is enough; without them two are needed, judged by the membrane of the paper.
     """
     units = Units(**{n: number("units", n, v) for n, v in constants.items()})
     found = []

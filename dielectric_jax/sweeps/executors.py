@@ -1,6 +1,6 @@
-"""Who computes the blocks of a sweep: this process, worker processes, a Dask cluster, or any executor; and the progress.
+"""The executors of a sweep: this process, worker processes, a Dask cluster, or any executor; and the progress bar.
 
-The process that asked hands out blocks and keeps what comes back; workers only compute.
+The calling process distributes blocks and stores the results; workers only compute.
 """
 
 import concurrent.futures
@@ -20,11 +20,11 @@ from .store import need
 
 __all__ = ["Progress", "executor_of", "run_blocks"]
 
-_DEATHS = 3  # of worker processes in succession, without a block between them
+_DEATHS = 3  # of worker processes in succession, without a finished block in between
 
 
 def _begin_worker(share: int) -> None:
-    """In a worker process: a share of the cores; an interrupt is the parent's business, and it goes with its parent."""
+    """Sets up a worker process: its share of the cores; it ignores interrupts, and ends with its parent."""
     os.environ["DIELECTRIC_JAX_CORES"] = str(share)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
@@ -57,7 +57,7 @@ class _Processes:
 
 
 class _Given:
-    """An executor that is not ours to replace."""
+    """An executor given by the caller, which cannot be replaced."""
 
     def __init__(self, executor: concurrent.futures.Executor, workers: int):
         self.executor, self.workers = executor, workers
@@ -69,9 +69,11 @@ class _Given:
 def _refuse_fork(executor) -> None:
     """Raises ValueError for an executor whose workers are forks of this process.
 
-    JAX has threads, which a fork does not copy, though it copies the locks that they hold: such workers wait for ever.
+    JAX has threads, which a fork does not copy, while it copies the locks that they hold: such workers wait forever.
     """
-    context = getattr(executor, "_mp_context", None) or getattr(executor, "_context", None)  # loky's is the second
+    context = getattr(executor, "_mp_context", None) or getattr(
+        executor, "_context", None
+    )  # the second is that of loky
     method = getattr(context, "get_start_method", lambda: None)()
     if method == "fork":
         raise ValueError(
@@ -83,7 +85,7 @@ def _refuse_fork(executor) -> None:
 
 @contextlib.contextmanager
 def executor_of(what) -> Iterator[_Processes | _Given]:
-    """The executor that `what` means: None this process, a number of worker processes, a Dask address, or an executor."""
+    """The executor for `what`: None for this process, a number of worker processes, a Dask address, or an executor."""
     if what is None:
         # one thread: the block uses all cores by itself, and this thread writes meanwhile
         own = _Given(concurrent.futures.ThreadPoolExecutor(1), 1)
@@ -93,8 +95,8 @@ def executor_of(what) -> Iterator[_Processes | _Given]:
         own = _Processes(what)
     elif isinstance(what, str):
         distributed = need("distributed", extra="distributed")
-        # a client that met no scheduler is closed when it is collected, which must not happen while the next one starts:
-        # both hold the lock of distributed's loop
+        # a client that found no scheduler is closed when it is garbage-collected, which must not happen while the next one
+        # starts: both hold the lock of distributed's loop
         gc.collect()
         try:
             client = distributed.Client(what, timeout="10s", set_as_default=False)
@@ -105,7 +107,7 @@ def executor_of(what) -> Iterator[_Processes | _Given]:
         with client, client.get_executor() as executor:
             yield _Given(executor, max(1, sum(client.nthreads().values())))
         return
-    elif callable(getattr(what, "get_executor", None)):  # a Dask client, whose own futures are of another kind
+    elif callable(getattr(what, "get_executor", None)):  # a Dask client, whose own futures are of another type
         client = typing.cast(typing.Any, what)
         with client.get_executor() as executor:
             yield _Given(executor, max(1, sum(client.nthreads().values())))
@@ -139,7 +141,7 @@ def _result(future: concurrent.futures.Future):
 def run_blocks(pool: _Processes | _Given, function: Callable, tasks: Sequence[tuple], keep: Callable) -> None:
     """Computes `function(*arguments)` of tasks (key, make arguments) and calls `keep(key, result)` as each is done.
 
-    No more tasks are under way than keep the workers busy. Tasks of workers that died are handed out again.
+    Only as many tasks are submitted at a time as keep the workers busy. Tasks of workers that died are submitted again.
     """
     waiting = list(reversed(tasks))
     running: dict[concurrent.futures.Future, tuple] = {}
@@ -172,15 +174,15 @@ def run_blocks(pool: _Processes | _Given, function: Callable, tasks: Sequence[tu
 
 
 def _in_notebook() -> bool:
-    """Whether this process is the kernel of a notebook; importing Jupyter's packages does not make it one."""
+    """Whether this process is the kernel of a notebook, not merely one that has imported Jupyter's packages."""
     shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
     return hasattr(shell, "kernel")
 
 
 class Progress:
-    """A bar on a terminal or in a notebook, with rate, failures and time left; nothing elsewhere.
+    """A progress bar on a terminal or in a notebook, with rate, failures and remaining time; nothing elsewhere.
 
-    `show` True or False decides instead.
+    `show` True or False overrides this.
     """
 
     def __init__(self, total: int, done: int, show: bool | None = None):
@@ -200,7 +202,7 @@ class Progress:
             self._bar.close()
 
     def add(self, scenes: int, failed: int) -> None:
-        """So many scenes more, of which so many have no answer."""
+        """Counts more finished scenes, of which `failed` have no answer."""
         self._failed += failed
         if self._bar is not None:
             self._bar.set_postfix(without_answer=self._failed, refresh=False)

@@ -1,4 +1,4 @@
-"""Sweeps written down: a file of TOML that says which scene, which parameters vary and how, and with which engine."""
+"""Specifications of sweeps: a TOML file with the scene, the parameters that vary and how, and the engine."""
 
 import dataclasses
 import pathlib
@@ -25,7 +25,7 @@ _DISTRIBUTIONS = {
 
 
 def _distribution(where: str, name: str, given: typing.Any):
-    """A distribution of scipy.stats by its name and numbers."""
+    """A distribution of scipy.stats by its name and parameters."""
     from scipy import stats
 
     own = dict(table(name, given))
@@ -76,11 +76,11 @@ def _axes(document: dict, folder: pathlib.Path) -> list[Axis]:
 
 
 def read_specification(path) -> tuple[Scene, list[Axis], dict[str, typing.Any]]:
-    """The scene, the axes and the options (keyword arguments of `sweep`) that a file of TOML asks for.
+    """The scene, the axes and the options (keyword arguments of `sweep`) in a TOML file.
 
-    [scene] gives the scene, [units] the constants in SI that it carries, if any, [product] lists of values, [zip.NAME] parameters that vary together, [samples.NAME]
-    distributions, [table.NAME] a CSV file; `engine`, `resolve`, `curves`, `tolerance` and `block` stand above them.
-    Raises ValueError in one sentence that names what is wrong.
+    [scene] gives the scene, [units] the constants in SI that it carries, if any, [product] lists of values, [zip.NAME]
+    parameters that vary together, [samples.NAME] distributions, [table.NAME] a CSV file; `engine`, `resolve`, `curves`,
+    `tolerance` and `block` are placed above the tables. Raises ValueError with one sentence that says what is wrong.
     """
     path = pathlib.Path(path)
     document = read_toml(path)
@@ -119,7 +119,7 @@ def read_specification(path) -> tuple[Scene, list[Axis], dict[str, typing.Any]]:
 
 
 def _changes_with(name: str, of_units: list[str], scene: Scene) -> bool:
-    """Whether the unit of a quantity depends on any of these constants of the units."""
+    """Whether the unit of a quantity depends on any of these constants of [units]."""
     units = scene.units
     return units is not None and any(
         dataclasses.replace(units, **{n: 2 * getattr(units, n)}).scale(name) != units.scale(name) for n in of_units

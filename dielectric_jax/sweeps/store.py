@@ -1,7 +1,7 @@
-"""Where the blocks of a sweep are kept: in memory, or in a zarr store that survives its writer.
+"""The stores for the blocks of a sweep: memory, or a zarr store that stays valid if its writer is killed.
 
-A block is a chunk of every variable. Its chunks are written first, each at once by renaming, then its checksum, then its
-`block_done`: whatever happens, a block is done with all its numbers or is not done.
+A block is a chunk of every variable. Its chunks are written first, each by an atomic rename, then its checksum, then its
+`block_done` flag: whatever happens, a block is either complete or not done.
 """
 
 import contextlib
@@ -28,7 +28,7 @@ _PART = 1 << 20  # values of a coordinate in one chunk
 
 
 def need(module: str, extra: str = "io") -> typing.Any:
-    """The imported module; raises ImportError with one sentence that names the extra that holds it."""
+    """The imported module; raises ImportError with one sentence that names the extra that provides it."""
     try:
         return importlib.import_module(module)
     except ImportError:
@@ -39,7 +39,7 @@ def need(module: str, extra: str = "io") -> typing.Any:
 
 
 def checksum(arrays: dict[str, np.ndarray]) -> int:
-    """A number that tells the arrays of a block from damaged ones."""
+    """A number by which damaged arrays of a block are detected."""
     value = 0
     for name in sorted(arrays):
         value = zlib.crc32(np.ascontiguousarray(arrays[name]).data.cast("B"), zlib.crc32(name.encode(), value))
@@ -47,7 +47,7 @@ def checksum(arrays: dict[str, np.ndarray]) -> int:
 
 
 def coordinates_of(design: Design) -> dict[str, tuple[str, np.ndarray, dict]]:
-    """The coordinates of a design: dimension, values and attributes of each; a dimension without a parameter counts."""
+    """The coordinates of a design: dimension, values and attributes; a dimension without a parameter is numbered."""
     found: dict = {}
     for axis in design.axes:
         for name, values in axis.columns.items():
@@ -62,7 +62,7 @@ def coordinates_of(design: Design) -> dict[str, tuple[str, np.ndarray, dict]]:
 
 
 class Memory:
-    """Keeps the blocks of a sweep in arrays."""
+    """Stores the blocks of a sweep in arrays."""
 
     def __init__(self, design: Design, chunk: tuple[int, ...], variables: list[Variable]):
         self.chunk, self.parts = chunk, design.blocks(chunk)
@@ -74,14 +74,14 @@ class Memory:
         self._design = design
 
     def write(self, number: int, answer: dict[str, np.ndarray]) -> None:
-        """Keeps the variables of a block."""
+        """Stores the variables of a block."""
         for name, array in self._arrays.items():
             target = array[self.parts[number]]
             target[...] = answer[name].reshape(target.shape)
         self.done[number] = True
 
     def dataset(self, attributes: dict):
-        """Everything as an `xarray.Dataset`."""
+        """All blocks as an `xarray.Dataset`."""
         xarray = need("xarray")
         dims = self._design.dimensions
         data = {v.name: ((*dims, *v.dims), self._arrays[v.name], v.attributes) for v in self._variables}
@@ -90,7 +90,7 @@ class Memory:
 
 
 class ZarrStore:
-    """Keeps the blocks of a sweep in a zarr store; open one with `ZarrStore.create` or `ZarrStore.resume`."""
+    """Stores the blocks of a sweep in a zarr store; open one with `ZarrStore.create` or `ZarrStore.resume`."""
 
     def __init__(self, path: pathlib.Path, group, design: Design, variables: list[Variable]):
         self.path, self._group, self._design, self._variables = path, group, design, variables
@@ -102,7 +102,7 @@ class ZarrStore:
     @staticmethod
     @contextlib.contextmanager
     def create(path, design: Design, chunk: tuple[int, ...], variables: list[Variable], attributes: dict):
-        """A new store, held against other writers; it appears whole or not at all."""
+        """A new store, locked against other writers and created atomically."""
         zarr = need("zarr")
         path = pathlib.Path(path)
         part = path.with_name(path.name + ".part")
@@ -119,13 +119,13 @@ class ZarrStore:
     @staticmethod
     @contextlib.contextmanager
     def resume(path, design: Design, variables: list[Variable], attributes: dict, accept_versions: bool):
-        """A store that is there, held against other writers, where it goes with the sweep. Damaged blocks are to do again."""
+        """An existing store that matches the sweep, locked against other writers. Damaged blocks are marked as not done."""
         zarr = need("zarr")
         path = pathlib.Path(path)
         with _held(path, path):
             group = open_group(path, mode="r+")
             _compare(path, dict(group.attrs), attributes, accept_versions)
-            for half in path.rglob("*.partial"):  # what a killed writer left
+            for half in path.rglob("*.partial"):  # left by a killed writer
                 half.unlink(missing_ok=True)
             store = ZarrStore(path, group, design, variables)
             history = f"{group.attrs['history']}\n{attributes['history']}"
@@ -134,14 +134,14 @@ class ZarrStore:
             yield store
 
     def damaged(self) -> list[int]:
-        """The blocks that are done and whose numbers are not those that were written."""
+        """The blocks that are marked as done but whose numbers are not those that were written."""
         sums = np.asarray(self._group["block_checksum"][:])
         found = []
         for number in np.flatnonzero(self.done):
             try:
                 kept = {name: np.asarray(array[self.parts[number]]) for name, array in self._opened.items()}
                 whole = checksum(kept) == sums[number]
-            except Exception:  # whatever the decoder makes of damaged bytes
+            except Exception:  # the decoder may raise anything for damaged bytes
                 whole = False
             if not whole:
                 found.append(int(number))
@@ -154,7 +154,7 @@ class ZarrStore:
             self.done[number] = False
 
     def write(self, number: int, answer: dict[str, np.ndarray]) -> None:
-        """Keeps the variables of a block, all or nothing."""
+        """Stores the variables of a block, all or nothing."""
         part, arrays = self.parts[number], {}
         lengths = [s.stop - s.start for s in part]
         try:
@@ -165,7 +165,7 @@ class ZarrStore:
             self._group["block_done"][number] = True
         except OSError as error:
             raise StoreError(
-                f"{str(self.path)!r} could not be written: {error.strerror or error}; what is finished is kept, resume goes on."
+                f"{str(self.path)!r} could not be written: {error.strerror or error}; what is finished is kept, resume continues."
             ) from error
         self.done[number] = True
 
@@ -214,15 +214,15 @@ def _fill(zarr, path: pathlib.Path, design: Design, chunk, variables: list[Varia
 
 
 def _consolidate(zarr, path: pathlib.Path) -> None:
-    """All metadata in one place, so that other programs open the store at once."""
+    """Consolidates all metadata, so that other programs open the store quickly."""
     with warnings.catch_warnings():
-        # zarr's own remark that consolidated metadata is an extension of the format
+        # zarr warns that consolidated metadata is an extension of the format
         warnings.filterwarnings("ignore", message="Consolidated metadata is currently not part")
         zarr.consolidate_metadata(str(path))
 
 
 def open_group(path, mode: typing.Literal["r", "r+"] = "r"):
-    """The zarr group of a sweep; raises ValueError in one sentence where there is none."""
+    """The zarr group of a sweep; raises ValueError with one sentence if there is none."""
     zarr = need("zarr")
     try:
         group = zarr.open_group(str(path), mode=mode, use_consolidated=False)
@@ -237,7 +237,7 @@ def open_group(path, mode: typing.Literal["r", "r+"] = "r"):
 
 
 def _compare(path: pathlib.Path, kept: dict, wanted: dict, accept_versions: bool) -> None:
-    """Refuses to go on with a store of another sweep, or of other versions."""
+    """Refuses to continue a store of another sweep or of other versions."""
     old, new = (json.loads(a["specification"]) for a in (kept, wanted))
     for key in new | old:
         if old.get(key) != new.get(key):
@@ -249,5 +249,5 @@ def _compare(path: pathlib.Path, kept: dict, wanted: dict, accept_versions: bool
     if changed and not accept_versions:
         raise StoreError(
             f"{str(path)!r} was begun with other versions ({', '.join(changed)}), which may differ in the last digits; "
-            "accept the versions to go on with it."
+            "accept the versions to continue it."
         )

@@ -1,4 +1,4 @@
-"""Sweeps: many scenes in one labelled dataset, in memory or in a store that survives whatever happens to its writer."""
+"""Sweeps: many scenes in one labelled dataset, in memory or in a store that stays valid if its writer is killed."""
 
 import contextlib
 import datetime
@@ -28,9 +28,9 @@ from .variables import Answer, variables_of
 
 __all__ = ["open_sweep", "sweep"]
 
-_FAMILY_FROM = 9  # prestretches from which on their surfaces are taken from a family
+_FAMILY_FROM = 9  # number of prestretches from which on the surfaces are taken from a family
 _PACKAGES = ("jax", "jaxlib", "diffrax", "equinox", "numpy", "scipy")
-_MOST_BLOCKS = 10**6  # of each of which a store keeps a file for every variable
+_MOST_BLOCKS = 10**6  # a store keeps a file for every variable of each block
 _UNANSWERED = (Answer.unresolved, Answer.no_answer, Answer.invalid_scene, Answer.failed)
 
 
@@ -51,30 +51,30 @@ def sweep(
 ) -> typing.Any:
     """The ramps and special points of many scenes: an `xarray.Dataset` on the product of all axes.
 
-    Every parameter (`PARAMETERS`) given a list makes an axis of its name; `zipped`, `samples` and `read_scenes` make axes
-    along which several vary together. All other parameters are those of `scene`.
+    Each parameter (`PARAMETERS`) given as a list forms an axis of that name; `zipped`, `samples` and `read_scenes` make axes
+    along which several parameters vary together. All other parameters are those of `scene`.
 
     Args:
-        scene: the scene around which parameters vary.
+        scene: the scene whose parameters are varied.
         *axes: axes of several parameters.
-        output: a zarr store to write block by block; the answer is then read from it as it is needed. In memory when None.
-        resume: go on with the store where there is one, with its own size of blocks.
-        accept_versions: go on with a store that other versions began.
-        engine: "surface", or "continuation", which needs no surface of every membrane.
-        resolve: leave nothing open that continuation or a whole diagram decides.
-        curves: also the curves of voltage against volume, 256 states each (surface only).
+        output: a zarr store to write block by block; the result is then read from it lazily. In memory when None.
+        resume: continue the store if it exists, with its own block size.
+        accept_versions: continue a store that was begun by other versions.
+        engine: "surface", or "continuation", which does not need a surface of each membrane.
+        resolve: decide scenes left open by the engine with continuation and whole diagrams.
+        curves: also compute the curves of voltage against volume, 256 states each (surface only).
         tolerance: largest error of the surface, or of continuation.
-        block: scenes of a block; when None a sixteenth of all, from 256 to 8192 (surface) or 32 to 128 (continuation).
+        block: scenes in a block; when None a sixteenth of all, from 256 to 8192 (surface) or 32 to 128 (continuation).
         executor: None, a number of worker processes, the address of a Dask scheduler, or a `concurrent.futures.Executor`.
-        progress: show a bar; on a terminal and in a notebook when None.
+        progress: show a progress bar; on a terminal and in a notebook when None.
         **parameters: lists of values of parameters.
 
     Returns:
-        The dataset; `outcome` and `regime` are codes (see their `flag_meanings`), and every value has its error beside it.
+        The dataset; `outcome` and `regime` are codes (see their `flag_meanings`), and every value comes with its error.
 
     Raises:
-        ValueError: for bad input, in one sentence.
-        OSError: for a store that cannot be written, is there already, is being written, or holds another sweep.
+        ValueError: for bad input, with one sentence.
+        OSError: for a store that cannot be written, already exists, is being written, or holds another sweep.
 
     >>> from dielectric_jax import Chamber, Membrane
     >>> scene = Scene(Membrane(), Chamber(volume=1600.0, initial_volume=2.42))
@@ -142,7 +142,7 @@ def _job(design: Design, engine: str, resolve: bool, curves: bool, tolerance: fl
 
 
 def _check_size(design: Design, chunk, variables, in_memory: bool) -> None:
-    """Refuses a sweep whose blocks, or in memory whose numbers, are too many to be held."""
+    """Refuses a sweep with too many blocks or, in memory, with too many numbers."""
     blocks = math.prod(-(-size // own) for size, own in zip(design.shape, chunk, strict=True))
     if blocks > _MOST_BLOCKS:
         raise ValueError(
@@ -158,7 +158,7 @@ def _check_size(design: Design, chunk, variables, in_memory: bool) -> None:
 
 
 def _check_names(design: Design, variables) -> None:
-    """Refuses an axis with the name of a variable of the dataset, or of another of its dimensions."""
+    """Refuses an axis with the name of a variable or of another dimension of the dataset."""
     taken = {
         "block",
         "block_done",
@@ -174,7 +174,7 @@ def _check_names(design: Design, variables) -> None:
 
 
 def memory() -> int:
-    """The bytes of memory of this machine; 16 GiB where the system does not say."""
+    """The memory of this machine in bytes; 16 GiB if the system does not report it."""
     try:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (AttributeError, OSError, ValueError):
@@ -192,7 +192,7 @@ def _check_pickle(job: Job) -> None:
 
 
 def _run(pool, job: Job, design: Design, store: Memory | ZarrStore, show: bool | None) -> None:
-    """Computes and keeps the blocks that are not done."""
+    """Computes and stores the blocks that are not done."""
     sizes = [int(np.prod([s.stop - s.start for s in part])) for part in store.parts]
     done = sum(size for size, known in zip(sizes, store.done, strict=True) if known)
     left = [int(i) for i in design.order(store.chunk) if not store.done[i]]
@@ -218,7 +218,7 @@ def _say(text: str) -> None:
 
 
 def _attributes(design: Design, job: Job) -> dict[str, str]:
-    """What the numbers come from: the sweep itself, versions, machine."""
+    """The provenance of the numbers: the sweep itself, versions, machine."""
     versions = {"dielectric_jax": f"{importlib.metadata.version('dielectric-jax')}" if _installed() else "source"}
     versions |= {"sources": source_digest()[:12]}
     versions |= {name: importlib.metadata.version(name) for name in _PACKAGES}
@@ -230,7 +230,7 @@ def _attributes(design: Design, job: Job) -> dict[str, str]:
         for axis in design.axes
     }
     scene = describe(design.scene)
-    for axis in design.axes:  # what varies does not belong to the scene
+    for axis in design.axes:  # parameters that vary do not belong to the scene
         for name in axis.columns:
             scene.pop(name, None)
             if name.startswith("initial_"):
@@ -274,10 +274,10 @@ def _installed() -> bool:
 
 
 def open_sweep(path, *, chunks: typing.Any = None):
-    """The dataset in a store, read as it is needed; also of a sweep that is not finished.
+    """The dataset in a store, read lazily, also of an unfinished sweep.
 
-    Scenes that are not computed yet have `outcome` `not_computed` and NaN. `chunks` as in `xarray.open_zarr`: with a
-    value other than None the variables are Dask arrays. Raises ValueError for what is no store of a sweep.
+    Scenes that are not yet computed have `outcome` `not_computed` and NaN. `chunks` as in `xarray.open_zarr`: with a
+    value other than None the variables are Dask arrays. Raises ValueError for a path that is not the store of a sweep.
     """
     xarray = need("xarray")
     group = open_group(path)

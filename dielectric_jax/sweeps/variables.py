@@ -1,6 +1,6 @@
-"""The variables of a sweep: their names, dimensions, units, and what they mean; and the answers of the engines as such.
+"""The variables of a sweep: their names, dimensions, units and meanings; and the results of the engines as such variables.
 
-Every value has an error estimate beside it, named by the attribute `ancillary_variables` of the CF conventions; codes have
+Every value has an error estimate, named by the attribute `ancillary_variables` of the CF conventions; codes have
 `flag_values` and `flag_meanings`.
 """
 
@@ -26,7 +26,7 @@ CURVE_POINTS = 256
 
 
 class Answer(enum.IntEnum):
-    """How a scene was answered, as the variable `outcome` holds it: those of `Outcome`, and what else may become of a scene."""
+    """The values of the variable `outcome`: those of `Outcome`, and further results a scene can have."""
 
     not_computed = -1
     breakdown_on_branch = 0
@@ -34,14 +34,14 @@ class Answer(enum.IntEnum):
     no_landing = 2
     start_unstable = 3
     unresolved = 4
-    ended_by_window = 5  # the ramp met the window's end, or the film went slack, before breakdown
-    no_answer = 6  # the scene has none: `code` says why
-    invalid_scene = 7  # its parameters exclude each other, such as a prestretch beyond the limiting stretch
-    failed = 8  # its computation ended in an error
+    ended_by_window = 5  # the ramp reached the window's end, or the film went slack, before breakdown
+    no_answer = 6  # the scene has no answer: `code` says why
+    invalid_scene = 7  # its parameters are incompatible, such as a prestretch beyond the limiting stretch
+    failed = 8  # its computation raised an error
 
 
 class Source(enum.IntEnum):
-    """Which engine answered a scene."""
+    """The engine that answered a scene."""
 
     none = -1
     surface = 0
@@ -51,7 +51,7 @@ class Source(enum.IntEnum):
 
 @dataclasses.dataclass(frozen=True)
 class Variable:
-    """One variable of a sweep: `dims` are those beside the scene's, with their sizes."""
+    """One variable of a sweep: `dims` are its dimensions besides those of the scenes, with their sizes."""
 
     name: str
     dims: dict[str, int]
@@ -64,11 +64,11 @@ _ANSWER_WORDS = {
     "outcome": "how the ramp up ends",
     "regime": "what a slow ramp of the voltage does: the way up, then the way down from the last landing",
     "code": "why continuation ended or the scene has no answer, as in `dielectric_jax.Code`",
-    "answered_by": "which engine answered: the surface, continuation side by side, or a whole diagram",
+    "answered_by": "which engine answered: the surface, batched continuation, or a whole diagram",
 }
 _FLAGS = {"outcome": Answer, "regime": Regime, "code": Code, "answered_by": Source}
 
-#: points of a ramp: the field of `Ramps`, the dimension of its last axis and its size, and what the point is
+#: points of a ramp: the field of `Ramps`, the dimension of its last axis and its size, and the meaning of the point
 _POINTS = {
     "start": (None, 0, "in which the ramp begins, at zero voltage"),
     "snap": ("jump", 2, "at the fold from which the membrane snaps"),
@@ -77,13 +77,13 @@ _POINTS = {
     "snap_back": ("jump", 2, "at the fold from which the membrane snaps back on the way down"),
     "landing_back": ("jump", 2, "on which the snap back lands"),
     "rest": (None, 0, "in which the way down ends, at zero voltage"),
-    "fold": ("fold_number", 6, "of a fold of the contour through the start, by rising stretch of the apex"),
+    "fold": ("fold_number", 6, "of a fold of the branch through the start, in order of apex stretch"),
     "zero_voltage": (
         "zero_number",
         5,
-        "of the contour through the start at zero voltage, by rising stretch of the apex",
+        "of the branch through the start at zero voltage, in order of apex stretch",
     ),
-    "breakdown_crossing": ("crossing_number", 3, "at which the contour through the start meets breakdown"),
+    "breakdown_crossing": ("crossing_number", 3, "at which the branch through the start reaches breakdown"),
 }
 _FIELDS = {"fold": "folds", "breakdown_crossing": "breakdowns"}
 _AT_ZERO = ("start", "rest", "zero_voltage")
@@ -99,7 +99,7 @@ _SI = ("Pa", "m", "F m-1")
 
 
 def described(long_name: str, unit: str, **more) -> dict[str, typing.Any]:
-    """Attributes of a quantity: CF's unit of a dimensionless one is 1, and what it is counted in is told beside it."""
+    """Attributes of a quantity: its CF unit is 1, and `counted_in` names the unit of the dimensionless number."""
     if unit in _SI:
         return {"long_name": long_name, "units": unit, **more}
     return {"long_name": long_name, "units": "1", "counted_in": unit, **more}
@@ -133,8 +133,8 @@ def variables_of(curves: bool) -> list[Variable]:
     number("area_strain", {}, "area strain of the apex", "1", "ramp_error", description=strain)
     number("ramp_error", {}, "largest error of the events of the ramp", "1", description=_ERROR)
     number("landing_ratio", {"jump": 2}, "E/E_EB at the landing, largest along the membrane", "1", "landing_error")
-    reach = "the contour is known between these stretches: all special points there are listed"
-    number("reach", {"end": 2}, "stretches of the apex between which the contour is known", "1", description=reach)
+    reach = "the branch is known between these stretches: all special points there are listed"
+    number("reach", {"end": 2}, "apex stretches between which the branch is known", "1", description=reach)
     for point, (dim, size, words) in _POINTS.items():
         dims = {} if dim is None else {dim: size}
         for quantity, (long_name, unit) in _QUANTITIES.items():
@@ -152,12 +152,12 @@ def variables_of(curves: bool) -> list[Variable]:
 
 
 def empty_answer(count: int, curves: bool) -> dict[str, np.ndarray]:
-    """The variables of `count` scenes without an answer yet."""
+    """The variables of `count` scenes that are not answered yet."""
     return {v.name: np.full((count, *v.dims.values()), v.fill, v.dtype) for v in variables_of(curves)}
 
 
 def answers_of(ramps: Ramps, source: Source, code: typing.Any = Code.ok) -> dict[str, np.ndarray]:
-    """The variables of ramps (without curves); loadings along one axis."""
+    """The variables of ramps (without curves), with loadings along one axis."""
     found = {
         "outcome": np.asarray(ramps.outcome, "int8"),
         "regime": ramps.regime,

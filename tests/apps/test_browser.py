@@ -1,6 +1,6 @@
 """The explorer in a browser: a Jupyter server, a headless Chromium, all cells run, a slider moved by the keyboard.
 
-Skipped where no Chromium, no driver for it or no JupyterLab is found.
+Skipped if no Chromium, no driver for it or no JupyterLab is found.
 """
 
 import os
@@ -71,7 +71,7 @@ def server(tmp_path):
 
 
 def run_all(page):
-    """Runs all cells by the menu, whose entry does nothing until the notebook is ready."""
+    """Runs all cells from the menu, whose entry does nothing until the notebook is ready."""
     page.locator(".jp-MarkdownCell").first.click()
     for _ in range(60):
         time.sleep(1)

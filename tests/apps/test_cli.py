@@ -1,4 +1,4 @@
-"""The command line: what it refuses and how, and answers against numbers that other methods gave.
+"""The command line: what it refuses and how, and results compared with numbers from other methods.
 
 The numbers are those of tests/README.md: a spectral-element Galerkin discretisation and shooting agree on them.
 """
@@ -178,7 +178,7 @@ UNITS = {"ascii": "sqrt(u/epsilon)", "latin-1": "sqrt(u/epsilon)", "cp1252": "sq
 @pytest.mark.parametrize("errors", ["strict", "surrogateescape", "backslashreplace"])
 @pytest.mark.parametrize("encoding", [*UNITS, "cp437", "cp850", "cp1251", "gbk"])
 def test_streams_that_lack_characters_are_readable(monkeypatch, encoding, errors):
-    """As with PYTHONIOENCODING, a code page of Windows, or LC_ALL=C: what the encoding lacks is spelled out."""
+    """With PYTHONIOENCODING, a code page of Windows, or LC_ALL=C, characters that the encoding lacks are spelled out."""
     raw = {name: io.BytesIO() for name in ("stdout", "stderr")}
     for name, buffer in raw.items():
         monkeypatch.setattr(sys, name, io.TextIOWrapper(buffer, encoding=encoding, errors=errors))

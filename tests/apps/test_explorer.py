@@ -1,6 +1,6 @@
-"""The explorer: sliders move the diagram, and what it shows is what the equations say.
+"""The explorer: sliders change the diagram, and it shows what the equations give.
 
-The sliders are moved as a user's browser moves them, by their values; no browser is needed.
+The sliders are moved by setting their values, as a user's browser does; no browser is needed.
 """
 
 import io
@@ -163,7 +163,7 @@ def test_a_glance_refuses(membrane, loading, prestretch, said):
 
 @pytest.mark.parametrize("pressure", [30.0, 1.908684829414 * (1 - 1e-6), 1.908684829414 * (1 + 1e-6)])
 def test_a_glance_that_cannot_tell_the_filling_says_so(membrane, pressure):
-    """p_0 = 30 is reached near lock-up only, beyond what the surface holds; beside the peak its rows do not tell."""
+    """p_0 = 30 is reached near lock-up only, beyond the surface; beside the peak its rows cannot decide."""
     scene = dj.Scene(membrane, dj.Chamber(volume=1600.0, initial_pressure=pressure))
     with pytest.raises(dj.SceneError, match=r"The (surface does not tell|rows of the surface hold no state)") as told:
         dj.glance(scene, dj.Surface.build(membrane))
@@ -171,7 +171,7 @@ def test_a_glance_that_cannot_tell_the_filling_says_so(membrane, pressure):
 
 
 def until_lost(pairs):
-    """Pairs of events up, until one tells no landing because it lies beyond the rows."""
+    """Pairs of events up, until a landing is not reported because it lies beyond the rows."""
     for mine, known in pairs:
         if mine.event == "no_landing" or mine.direction == "down":
             return
@@ -203,7 +203,7 @@ def test_a_start_that_is_not_stable_is_said(paper):
 
 
 def test_the_surface_and_the_whole_diagram_say_the_same(paper):
-    """p = 1.82 breaks in the snap (section 5 of the model), on a state far above the surface's domain."""
+    """p = 1.82 breaks down in the snap (section 5 of the model), at a state far beyond the surface's domain."""
     paper.controls["loading"].value = "constant pressure"
     shown = []
     for _ in range(2):

@@ -1,7 +1,7 @@
-"""Malformed command lines and files of TOML: every one is refused in a sentence, whatever is wrong with it.
+"""Malformed command lines and TOML files: every one is refused with a sentence, whatever is wrong with it.
 
-Each option of each command, and each key of each table, takes values that are none. What passes all checks is stopped where
-computing would begin, so that thousands take seconds.
+Each option of each command, and each key of each table, is given invalid values. Input that passes all checks is stopped where the
+computation would begin, so that thousands of cases take seconds.
 """
 
 import argparse
@@ -42,12 +42,12 @@ COMMANDS = {
 
 
 class Reached(Exception):
-    """All checks are passed and computing begins."""
+    """Raised when all checks are passed and the computation would begin."""
 
 
 @pytest.fixture
 def stopped(monkeypatch, tmp_path):
-    """Stops every command where its computing would begin, in a folder with the files that the commands read."""
+    """Stops every command where its computation would begin, in a folder with the files that the commands read."""
 
     def reach(*_, **__):
         raise Reached
@@ -90,7 +90,7 @@ def ran(argv: list[str]) -> tuple[int | str, str, str]:
 
 
 def fault(status, out: str, err: str) -> str | None:
-    """What is wrong with how a malformed command line ended; None for one clear sentence, or for what is well formed."""
+    """What is wrong with the outcome of a malformed command line; None for one clear sentence, or for well-formed input."""
     if status in ("reached", "help"):
         return None if err == "" else f"{status}, but says {err[:200]!r}"
     if status not in (1, 2):
@@ -228,7 +228,7 @@ file = "\u0000" """, "[samples.more]\ncount = 2\nseed = nan\nchamber_volume = {f
 
 
 def documents():
-    """(command, text, key, literal): every key with every value, without it, with strangers beside it, and cut off."""
+    """(command, text, key, literal): every key with every value, without it, with unknown keys beside it, and truncated."""
     for name, text in TOML.items():
         lines = text.splitlines()
         for i, line in enumerate(lines):
@@ -263,7 +263,7 @@ def test_malformed_command_lines_are_refused_in_a_sentence(stopped, seed):
         if wrong:
             found.append((argv if len(str(argv)) < 300 else str(argv)[:300], wrong))
     assert found == []
-    assert counts[2] > 1000 and counts["reached"] > 100  # both sides of the checks were met
+    assert counts[2] > 1000 and counts["reached"] > 100  # both results of the checks occurred
 
 
 @pytest.mark.parametrize("seed", [19])

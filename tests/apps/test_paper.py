@@ -58,7 +58,7 @@ def known(chamber, held, curve):
 
 
 def test_a_row_of_panels(known):
-    """The letters of figure 8 stand at the states of the model's section 4."""
+    """The letters of figure 8 are at the states of the model's section 4."""
     figure = paper_figures.FIGURES["8"](known)
     left, right = figure.axes
     assert [ax.get_title(loc="left") for ax in (left, right)] == ["(a)  V_C = 1600, V₀ = 2.42", "(b)"]

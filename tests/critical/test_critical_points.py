@@ -91,7 +91,7 @@ def test_in_batches_and_compiled(scene, surface):
 
     volumes = np.array([500.0, 800.0, 1600.0])
     value, slope = jax.jit(jax.vmap(jax.value_and_grad(lambda v: snap(v, surface=surface))))(volumes)
-    assert np.isnan(value[0]) and np.isnan(slope[0])  # no fold there, and its neighbours are not harmed
+    assert np.isnan(value[0]) and np.isnan(slope[0])  # no fold there, and the other members of the batch are unaffected
     assert np.allclose(value[1:], [0.0971990067469, 0.0764953595449], rtol=1e-10)
     assert np.allclose(slope[1:], [float(jax.grad(snap)(v)) for v in volumes[1:]], rtol=1e-8)
     both = jax.jacfwd(lambda x: snap(x[0] * x[1]))(jnp.array([800.0, 2.0]))
@@ -99,7 +99,7 @@ def test_in_batches_and_compiled(scene, surface):
 
 
 def test_breakdown_in_the_snap(scene, surface, slope_by_differences):
-    """V_C = 467.84 breaks in the snap, 467.86 on the branch: the strain is then that of the fold."""
+    """V_C = 467.84 breaks down in the snap, so its strain is that of the fold; 467.86 breaks down on the branch."""
     broken = scene.replace(chamber_volume=467.84)
     landing = dj.critical.breakdown_point(broken, surface=surface)
     assert float(landing.breakdown_ratio) > 1

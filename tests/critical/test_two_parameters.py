@@ -1,4 +1,4 @@
-"""Curves of folds and breakdown over a parameter: known cusps, the surface, and what the sheet of states says of mergers."""
+"""Curves of folds and breakdown over a parameter: known cusps, the surface, and mergers as saddles of the manifold."""
 
 import json
 
@@ -39,7 +39,7 @@ def test_cusps_and_the_onset_of_bistability(over_volume):
 
 
 def test_every_point_is_a_fold_or_a_breakdown_of_its_chamber(over_volume):
-    """The ramp on the surface knows the folds and breakdowns of chambers by other means."""
+    """The ramp on the surface computes the folds and breakdowns of chambers by other means."""
     surface = dj.Surface.build(dj.Membrane())
     compared = 0
     for curve in over_volume.curves:
@@ -66,7 +66,7 @@ def test_a_merger_is_a_stationary_point_of_the_pressure_on_the_sheet(over_pressu
     assert abs(float(surface(*at).pressure) - merger.pressure) < 1e-11
     by_apex, by_load = jax.grad(lambda a, q: surface(a, q).pressure, (0, 1))(*at)
     assert abs(float(by_apex)) < 1e-7 and abs(float(by_load)) < 1e-5
-    # a saddle: two branches cross there, and beyond they are joined anew
+    # a saddle: two branches cross there, and beyond it they are joined differently
     (aa, aq), (_, qq) = jax.hessian(lambda x: surface(x[0], x[1]).pressure)(np.array(at))
     assert aa * qq < aq**2
     # the valley of the p–V curve at zero voltage
@@ -94,7 +94,7 @@ def test_one_cusp_in_two_planes():
 
 
 def test_breakdown_turns_where_its_law_does():
-    """The law of VHB has a kink at λ = 5.684; the curve of breakdown has a corner there, and goes on."""
+    """The law of VHB has a kink at λ = 5.684; the curve of breakdown has a corner there, and continues."""
     found = dj.fold_curves(chamber(), "stretch_limit", (90.0, 100.0), kinds=("breakdown",), samples=2)
     (curve,) = found.curves
     assert found.complete and set(curve.ends) == {"lower_bound", "upper_bound"}
@@ -142,7 +142,7 @@ def test_the_error_of_a_point_covers_its_parameter_and_its_load(over_pressure, m
 
 @pytest.mark.parametrize("steps", [12.0, 24.0])
 def test_the_filling_is_of_the_grid_it_is_asked_for(steps):
-    """So what the coarser of two grids misses of the filling is in Newton's moves from one to the other."""
+    """So Newton's step from the coarser grid to the finer one includes the error of the filling on the coarser grid."""
     conditions = fold_continuation.ConditionsOver(chamber(), "chamber_volume")
     coarse, fine = (float(conditions.at(1600.0, s)[0].condition.initial_pressure) for s in (steps, 320.0))
     held = dj.equilibrium(dj.Membrane(), voltage=0.0, volume=2.42, tolerance=1e-12)

@@ -1,4 +1,4 @@
-"""Calibration: constants put into curves come out again, with honest intervals; what cannot be fitted is refused."""
+"""Calibration: known constants are recovered, with correct intervals; what cannot be fitted is refused."""
 
 import dataclasses
 import json
@@ -46,7 +46,7 @@ def exact():
 
 
 def test_exact_curves_give_their_constants_back(exact):
-    """States found by shooting, fitted through the explicit map: two methods, so nine digits are not a matter of course."""
+    """States found by shooting, fitted through the explicit map: two methods, so agreement to nine digits is not trivial."""
     found = dj.calibrate(*exact, units=UNITS)
     assert list(found.parameters) == ["shear_modulus", "stretch_limit"]
     for name, true in TRUE.items():
@@ -86,7 +86,7 @@ def test_intervals_cover_the_truth(exact):
     for count in hits.values():
         assert 180 <= count <= 199
     assert abs(np.mean(noises) / noise - 1) < 0.05
-    # the correlation told is that of the estimates
+    # the reported correlation is that of the estimates
     assert abs(np.corrcoef(np.array(estimates).T)[0, 1] - found.correlation[0, 1]) < 0.15
 
 
@@ -130,7 +130,7 @@ def test_bad_input_is_refused(change, message):
 
 
 def test_a_start_out_of_reach_is_raised(exact):
-    """J = 20 locks at a tenth of the largest volume, and μ is wrong a hundredfold; a prestretch that is not there is 1."""
+    """J = 20 locks at a tenth of the largest volume, and μ is wrong a hundredfold; a film without prestretch gives 1."""
     start = dj.Membrane(dj.Gent(stretch_limit=20.0))
     found = dj.calibrate(*exact, membrane=start, units=dj.Units(shear_modulus=4.5e6))
     for name, true in TRUE.items():
@@ -162,7 +162,7 @@ def test_constants_of_ones_own_material():
 
 
 def test_names_of_constants():
-    """Defaults leave out what a curve cannot tell, and what is refused is named."""
+    """Defaults omit constants that a curve cannot determine, and refused constants are named."""
     rubber = dj.Electrostrictive(dj.Gent(), thickness_coefficient=0.1)
     for material, wanted in (
         (dj.Gent(), ["shear_modulus", "stretch_limit"]),
@@ -184,14 +184,14 @@ def test_names_of_constants():
 
 
 def test_constants_that_a_curve_does_not_determine_are_refused(exact):
-    # volumes so small that the best limiting stretch is none
+    # volumes so small that there is no best limiting stretch
     below = VOLUME < 1.5
     noisy = exact[1] * (1 + 0.01 * np.random.default_rng(1).normal(size=len(VOLUME)))
     with pytest.raises(
         ValueError, match=r"the curve (depends on|determines), but .*stretch_limit.*leave it out of `over`"
     ):
         dj.calibrate(exact[0][below], noisy[below], units=UNITS)
-    # made-up Jacobians: c does nothing; c does what a and b do together
+    # synthetic Jacobians: c has no effect; c has the effect of a and b together
     a, b, pressure = np.linspace(1.0, 2.0, 9), np.linspace(1.0, 3.0, 9) ** 2, np.ones(9)
     names = dict.fromkeys("abc", 1.0)
     check_determined(names, names, np.column_stack([a, b, a * b]), pressure)
@@ -210,20 +210,20 @@ def test_constants_that_a_curve_does_not_determine_are_refused(exact):
 
 
 def test_a_misfit_that_is_no_noise_is_said(exact):
-    """Of a wrong material, an offset, and absolute pressures; not of noise, nor of outliers."""
+    """Warnings about a wrong material, an offset, and absolute pressures, but not about noise or outliers."""
     volume, pressure = exact
     random = np.random.default_rng(7)
     noise = 0.01 * pressure.mean() * random.normal(size=len(volume))
     found = dj.calibrate(volume, pressure + noise, units=dj.Units(radius=17e-3))
     assert (
         "times the noise of the pressures" in found.warnings[0]
-        and "seek more constants, such as the prestretch" in found.warnings[0]
+        and "fit more constants, such as the prestretch" in found.warnings[0]
     )
     found = dj.calibrate(volume, pressure + noise + 900.0, units=UNITS)
     assert "an offset of the pressures of " in found.warnings[0]
     assert abs(float(re.search(r"pressures of ([\d.]+) Pa", found.warnings[0])[1]) - 900) < 150
     assert found.to_json()["warnings"] == list(found.warnings)
-    with pytest.raises(ValueError, match=r"looks absolute, and no fit follows it; subtract"):
+    with pytest.raises(ValueError, match=r"looks absolute, and no fit matches it; subtract"):
         dj.calibrate(volume, pressure + noise + 101325.0, units=UNITS)
     both = np.concatenate([volume[::2], volume[::-2]]), np.concatenate([pressure[::2], 0.8 * pressure[::-2]])
     assert "The volume rises and falls" in dj.calibrate(*both, units=UNITS).warnings[0]

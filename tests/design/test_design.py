@@ -37,7 +37,7 @@ def test_the_bound_is_active(scene, surface):
 
 
 def test_survival_is_active(scene, surface):
-    """At V_0 = 2.3 larger chambers break in the snap: V_C = 7699.2058, strain 23.480988."""
+    """At V_0 = 2.3 membranes on larger chambers break down in the snap: V_C = 7699.2058, strain 23.480988."""
     own = scene.replace(initial_volume=2.3)
     best = dj.maximise_area_strain(own, CHAMBERS, surface=surface, check=False)
     assert abs(best.parameters["chamber_volume"] / 7699.2058 - 1) < 2e-9 and best.active == ("survival_margin",)
@@ -48,7 +48,7 @@ def test_survival_is_active(scene, surface):
 
 
 def test_margins_and_ways_down(scene, surface):
-    """Each wish holds with equality where it is what limits the design."""
+    """Each constraint holds with equality where it limits the design."""
     best = dj.maximise_area_strain(scene, CHAMBERS, survival_margin=0.2, surface=surface, check=False)
     at = scene.replace(**best.parameters)
     assert best.active == ("survival_margin",) and abs(dj.critical.landing_point(at).breakdown_ratio - 0.8) < 1e-9
@@ -74,7 +74,7 @@ def test_no_design_of_a_scan_is_better(scene, surface):
 
 
 def test_worst_case(scene, surface):
-    """With V_0 known within 2 % the design is that of the least filling, at which the landing is the hardest."""
+    """With V_0 known within 2 % the design is that of the least filling, at which the landing is closest to breakdown."""
     own = scene.replace(initial_volume=2.35)
     best = dj.maximise_area_strain(own, CHAMBERS, uncertain={"initial_volume": 0.02}, surface=surface, check=False)
     least = own.replace(initial_volume=2.35 * 0.98, **best.parameters)
@@ -100,7 +100,7 @@ def test_slopes(scene, surface):
 
 
 def test_an_objective_of_ones_own(scene, surface):
-    """The area strain as the user's own function, its landing at 0.8: the answer of the other way."""
+    """The area strain as a user's own function, with its landing at 0.8: the same result as `maximise_area_strain`."""
     best = dj.maximise_area_strain(scene, CHAMBERS, survival_margin=0.2, surface=surface, check=False)
     found = dj.maximise(
         lambda s: dj.area_strain(s, surface=surface),

@@ -1,4 +1,4 @@
-"""Measurements in the formats that instruments and people write: the same numbers come out, or a line and a reason."""
+"""Measurements in the formats that instruments and people write: they give the same numbers, or a line and a reason."""
 
 import re
 
@@ -27,7 +27,7 @@ def comma(text):
     return text.replace(".", ",")
 
 
-# every file holds the same curve: its text or bytes, by what it tries
+# every file holds the same curve: text or bytes, by the feature it tests
 FILES = {
     "hash head": "# volume (mL), pressure (Bar)\n" + rows("{v:.9e},{p:.9e}", p=0.01),
     "preamble": "# a film\n# Operator, X\nSample;7\nVolume / ml;Pressure / kPa\n" + rows("{v};{p}"),
@@ -81,7 +81,7 @@ FILES = {
     "zero first": "volume [ml],pressure [kPa]\n0,0\n0.000,-0.001\n" + rows(),
     "remarks between": "volume [ml],pressure [kPa]\n# pause\n" + rows() + "# end, 7\n",
 }
-# the accuracy of files that were rounded once more
+# the accuracy of files whose numbers were rounded again
 ROUNDED = {"thousands": 1e-3, "thousands, German": 1e-3, "thousands by blanks": 1e-3, "micro sign": 1e-12}
 
 
@@ -129,7 +129,7 @@ def test_the_same_curve_in_every_format(tmp_path, name):
         ("volume [ml],pressure [kPa]\n" + rows() + "7,1e400\n", "line 27"),
         ("volume [ml],pressure [kPa]\n3,4\n-50,2\n" + rows(), "line 3 .* has -5e-05"),
         ("volume [ml],pressure [kPa]\n3,4\n50,-8\n" + rows(), "line 3 .* has -8000"),
-        ("volume [ml],pressure [Pa]\n1.5,1,095.8\n" + rows(), "line 2 .* has 3 cells under 2 heads"),
+        ("volume [ml],pressure [Pa]\n1.5,1,095.8\n" + rows(), "line 2 .* has 3 cells under 2 headings"),
         ("volume [ml],pressure [kPa]\n" + comma(rows("{v}_{p}")).replace("_", ","), "line 2 .* 4 cells"),
         ("volume [ml];pressure [kPa]\n3.25;1\n3,5;2\n", "line 2 .* decimal point and line 3 a decimal comma"),
         ("volume [ml];pressure [kPa]\n3,250;1,125\n3,500;2,250\n", "the comma in line 2"),
@@ -169,8 +169,8 @@ def test_columns_and_units_may_be_given(tmp_path):
     found = dj.design.read_measurement(file, columns=("volume [ml]", "pressure 2 [kPa]"))
     np.testing.assert_allclose(found.pressure, PRESSURE * 1e3)
     for columns, units, message in (
-        ((1, 4), None, "`columns` must be places from 1 to 3"),
-        (("volume", "pressure"), None, "`columns` must be heads"),
+        ((1, 4), None, "`columns` must be positions from 1 to 3"),
+        (("volume", "pressure"), None, "`columns` must be headings"),
         ((3, 1), ("gal", "kPa"), "'gal'"),
         ((3,), None, "`columns` must be two"),
     ):
@@ -206,7 +206,7 @@ def test_loading_and_unloading_are_told_apart(tmp_path):
 
 
 def test_turns_are_no_noise():
-    """Cycles of a volume with noise: the runs are its halves; of points in no order there is one run."""
+    """Cycles of a volume with noise: the runs are its halves; unordered points form one run."""
     random = np.random.default_rng(0)
     volume = 1 + 50 * (1 - np.cos(np.linspace(0, 6 * np.pi, 600))) + random.normal(size=600)
     found = runs_of(volume)

@@ -53,7 +53,7 @@ def test_known_filling(scene, surface):
 
 
 def test_edges_by_shooting(scene, edges):
-    """E/E_EB of the landing is 1 at its edge, by shooting, which knows no surface."""
+    """E/E_EB of the landing is 1 at its edge, by shooting, independent of any surface."""
     at = scene.replace(chamber_volume=edges[0].value)
     assert abs(dj.critical.landing_point(at).breakdown_ratio - 1) < 1e-10
 
@@ -94,7 +94,7 @@ def test_both_sides_of_every_curve(small, scene, surface):
 
 
 def test_whole_diagrams_agree(small, scene):
-    """Random designs of the map, each by continuation and scan of its own."""
+    """Random designs of the map, each by its own continuation and scan."""
     random = np.random.default_rng(5)
     for i, j in random.integers(0, 60, (3, 2)):
         x, y = small.values[0][j], small.values[1][i]
@@ -102,7 +102,7 @@ def test_whole_diagrams_agree(small, scene):
 
 
 def test_what_the_surface_does_not_decide(scene, surface):
-    """No landing, or one far above breakdown: as whole diagrams say."""
+    """No landing, or one far above breakdown, in agreement with whole diagrams."""
     found = dj.classify_designs(
         scene, {"chamber_volume": [100.0, 240.0, 25000.0], "initial_volume": [2.42, 2.42, 1.5]}, surface=surface
     )
@@ -110,7 +110,7 @@ def test_what_the_surface_does_not_decide(scene, surface):
 
 
 def test_constant_pressure(surface):
-    """p = 1.82 breaks in the snap (section 5 of the article); above the peak p = 1.908684829414 no state is stable and small."""
+    """p = 1.82 breaks down in the snap (section 5 of the article); above the peak p = 1.908684829414 no state is stable and small."""
     held = dj.Scene(dj.Membrane(), dj.ConstantPressure(1.8))
     found = dj.classify_designs(held, {"pressure": [1.82, 1.5]}, surface=surface)
     assert [Regime(int(r)).name for r in found.regime] == ["breaks_in_snap", "breaks_in_snap"]

@@ -34,14 +34,14 @@ def test_reference_numbers():
     assert np.allclose(ramps.breakdown.voltage[1:3], [0.115172761046, 0.100970094106], rtol=1e-9)
     assert np.allclose(ramps.area_strain, [12.6847453, 14.0104827, 16.1218889, 25.567264], rtol=1e-7)
     assert np.allclose(ramps.start.pressure, 1.886612680245, rtol=1e-10)
-    # the way down stays in the snapped state from V_C = 1455.896 on
+    # from V_C = 1455.896 on the membrane stays snapped on the way down
     assert list(np.isfinite(ramps.snap_back.voltage[:, 0])) == [False, True, False, False]
     assert [len(finite(v)) for v in ramps.zero_voltage.volume] == [1, 1, 3, 3]
     assert [len(finite(v)) for v in ramps.folds.volume] == [0, 2, 2, 2]
 
 
 def test_every_eighth_chamber_of_the_references():
-    """Folds, zero-voltage states, breakdown and landing of 32 chambers, made without the package in extended precision."""
+    """Folds, zero-voltage states, breakdown and landing of 32 chambers, computed without the package in extended precision."""
     with DATA.open() as file:
         groups = itertools.groupby(csv.DictReader(file), key=lambda row: float(row["chamber_volume"]))
         truth = {
@@ -77,13 +77,13 @@ def test_no_fold_where_there_is_none():
 
 
 def test_lanes_do_not_disturb_each_other():
-    """Easy, hard and impossible scenes together give what each gives alone."""
+    """Easy, hard and impossible scenes give the same results together as alone."""
     other = dj.Membrane(prestretch=2.0, material=dj.Gent(stretch_limit=120.0))
     scenes = [
         chamber(800.0),
         chamber(1600.0, 1e4),  # more than the membrane holds
         chamber(484.05),
-        dj.Scene(FILM, dj.ConstantPressure(1e5)),  # more than it bears
+        dj.Scene(FILM, dj.ConstantPressure(1e5)),  # more than the membrane can carry
         chamber(1000.0, 20.0, other),
         dj.Scene(FILM, dj.ConstantPressure(1.82)),
         chamber(1e-3),
@@ -103,7 +103,7 @@ def test_lanes_do_not_disturb_each_other():
 
 
 def test_single_diagrams_of_random_scenes():
-    """What a batch tells is what `voltage_volume` tells: the way the ramp ends, and its events within the errors."""
+    """A batch agrees with `voltage_volume`: the same end of the ramp, and the same events within the errors."""
     random = np.random.default_rng(4)
     membranes = [FILM, dj.Membrane(prestretch=1.6, material=dj.Gent(stretch_limit=200.0))]
     scenes = []
@@ -129,7 +129,7 @@ def test_single_diagrams_of_random_scenes():
 
 
 def test_landings_about_breakdown_are_decided():
-    """From V_C = 250 to 480 snaps land beyond breakdown, then about it, then below: E/E_EB there falls through 1."""
+    """From V_C = 250 to 480 snaps land beyond breakdown, then near it, then below: E/E_EB there falls through 1."""
     volumes = [270.95, 288.39, 406.38, 454.19, 467.87, 468.14]
     scenes = [chamber(volume, 2.42) for volume in volumes]
     ramps = continue_scenes(scenes).ramps
@@ -143,7 +143,7 @@ def test_landings_about_breakdown_are_decided():
 
 
 def test_every_kind_of_chamber_and_breakdown_law():
-    """Filling given by a pressure, a polytropic gas, thin outside air, a user's breakdown law: as single diagrams tell."""
+    """Filling given by a pressure, a polytropic gas, thin outside air, a user's breakdown law, compared with single diagrams."""
     strong = dj.Membrane(breakdown=dj.model.CustomBreakdown(lambda stretch: 1.2 * stretch**0.9))
     weak = dj.Membrane(breakdown=dj.ConstantBreakdown(4.0))
     loadings = [
@@ -223,7 +223,7 @@ def test_points_are_put_where_they_belong():
 
 
 def test_a_line_that_goes_on_on_a_finer_grid_keeps_nothing_of_the_coarser():
-    """Towards the cone a line is begun again on a finer grid: its points are in order, no gap, NaN after its end."""
+    """Towards the cone a line is restarted on a finer grid: its points are in order, without gaps, and NaN after its end."""
     batch = continue_scenes([chamber(1000.0, 0.5), chamber(20.0, 1.0), chamber(1600.0)])
     assert list(batch.code) == [dj.Code.apex_cone, dj.Code.apex_cone, dj.Code.breakdown]
     for line in batch.branches:
@@ -233,5 +233,5 @@ def test_a_line_that_goes_on_on_a_finer_grid_keeps_nothing_of_the_coarser():
         chords = np.diff(line[:count] / [1.0, 0.2, 0.02], axis=0)
         length = np.linalg.norm(chords, axis=1)
         assert 0 < length.min() and length.max() < 2.1
-        # towards the cone the load swings ever less: neighbouring chords do not turn back
+        # towards the cone the oscillations of the load shrink: neighbouring chords do not turn back
         assert ((chords[1:] * chords[:-1]).sum(axis=1) > 0).all()

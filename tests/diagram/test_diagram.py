@@ -1,4 +1,4 @@
-"""Diagrams of the reference scenes: branches, special points and ramps, nothing missed and nothing invented."""
+"""Diagrams of the reference scenes: branches, special points and ramps, with nothing missed and nothing spurious."""
 
 import json
 import math
@@ -42,12 +42,12 @@ def diagram(chamber, held, curve):
 
 
 def of_scene(reference, name):
-    """The references of a scene; "p=1" must not take those of "p=1.2"."""
+    """The reference states of a scene; "p=1" must not match those of "p=1.2"."""
     return [ref for ref in reference if ref["label"].startswith(name + " ")]
 
 
 def kind_of(label):
-    """What a special point of the references is called in a diagram, None for other states."""
+    """The name in a diagram of a special point of the reference states, None for other states."""
     for word, kind in LOADING.items():
         if word in label and "landing" not in label and "same-Phi" not in label:
             return kind
@@ -62,7 +62,7 @@ def error(value, expected):
 
 
 def check(point, ref, *, located):
-    """The located quantity to 1e-9; place along the branch to the digits of the reference where they are fewer."""
+    """The located quantity to 1e-9; the position along the branch to the digits of the reference if they are fewer."""
     place = max(1e-9, 10 ** -ref["digits"])
     for name in ("voltage_squared", "pressure", "volume", "apex_stretch"):
         assert error(getattr(point, name), ref[name]) < (1e-9 if name in located else place), name
@@ -102,7 +102,7 @@ def test_every_special_point_of_the_references(diagram, reference, name):
     assert count >= 2
 
 
-# kinds in order of their volume, by the branch of smallest volume first; from the references and the facts of the model
+# kinds in order of their volume, starting with the branch of smallest volume; from the reference states and the model
 EXPECTED = {
     "VC=800": [["zero_voltage", "fold", "fold", "breakdown"]],
     "VC=1600": [["zero_voltage", "fold", "zero_voltage", "fold", "zero_voltage", "breakdown"]],
@@ -130,7 +130,7 @@ def test_pressure_1_2_has_a_main_and_an_isolated_branch(diagram):
     assert sorted(p.kind for p in own) == ["breakdown", "breakdown", "fold", "hoop_tension_loss", "hoop_tension_loss"]
     (fold,) = [p for p in own if p.kind == "fold"]
     assert fold.voltage == pytest.approx(0.0752841325, abs=1e-10)
-    # the main branch spirals: folds whose loads alternate about the cone's, closing in
+    # the main branch spirals: the loads of its folds alternate about that of the cone and converge to it
     spiral = [p.voltage_squared for p in found.special_points if p.branch != fold.branch and p.kind == "fold"]
     assert spiral[0] == pytest.approx(0.1266058554, rel=1e-9)
     assert len(spiral) >= 3
@@ -223,7 +223,7 @@ def test_numbers_of_the_ramps(diagram, chamber):
 
 
 def test_a_way_down_from_a_given_state(diagram):
-    """From just after the landing of V_C = 800 the way back snaps at the same fold; a state of no branch is refused."""
+    """From just after the landing of V_C = 800 the way back snaps at the same fold; a state on no branch is refused."""
     found = diagram("VC=800")
     landing = found.ramp()["landing"][0].state
     back = found.ramp("down", start=landing)
@@ -253,7 +253,7 @@ def test_chamber_30_spirals_and_lands_nowhere(chamber):
     folds = [p for p in found.special_points if p.kind == "fold" and p.volume < 2.73 and p.apex_stretch < 9]
     folds.sort(key=lambda p: p.apex_stretch)
     assert [p.voltage for p in folds[:3]] == pytest.approx([0.25123405938, 0.24314276881, 0.24351880450], abs=6e-12)
-    # the fourth and fifth close in on 0.2435037
+    # the fourth and fifth converge to 0.2435037
     for fold in folds[3:]:
         assert fold.voltage == pytest.approx(0.2435037, abs=1e-6)
     assert all(p.error_estimate <= 1e-9 for p in folds)
@@ -314,7 +314,7 @@ def test_folds_of_pressure_curves(curve, voltage):
 
 
 def test_two_branches_at_high_voltage(curve):
-    """Above Φ = 0.170240892, the minimum of √q_max, no state passes λa = 8.26: two branches, both ending at the cone."""
+    """Above Φ = 0.170240892, the minimum of √q_max, no state has λa = 8.26: two branches, both ending at the cone."""
     found = curve(0.2)
     assert found.complete and len(found.branches) == 2
     low, high = sorted(found.branches, key=lambda b: b.volume.min())
@@ -393,7 +393,7 @@ def test_polytropic_gas():
     "loading", [dj.Chamber(volume=100.0, initial_volume=0.0), dj.ConstantPressure(0.0)], ids=["chamber", "pressure"]
 )
 def test_flat_films(loading):
-    """λ0 = 2: one flat branch to slack at q_max; λ0 = 1: nothing carries it."""
+    """λ0 = 2: one flat branch to slack at q_max; λ0 = 1: there is no tension."""
     found = dj.voltage_volume(dj.Scene(dj.Membrane(prestretch=2.0), loading))
     assert found.complete and len(found.branches) == 1
     branch = found.branches[0]
@@ -452,7 +452,7 @@ def test_bad_input_is_refused_by_name(membrane, build, name):
 
 
 def test_a_voltage_beyond_every_equilibrium_has_a_code():
-    """λ0 = 1 at Φ = 0.6: q = 0.36 exceeds q_max below λa 1.6 and above; nothing is left but lock-up beyond the window."""
+    """λ0 = 1 at Φ = 0.6: q = 0.36 exceeds q_max below λa 1.6 and above; states remain only near lock-up beyond the window."""
     window = dj.model.Window(apex_stretch=(1.0, 5.0))
     with pytest.raises(dj.SceneError) as refused:
         dj.pressure_volume(dj.Membrane(), voltage=0.8, window=window)
@@ -513,7 +513,7 @@ def test_json(diagram, name):
 
 
 def test_index_along_the_branches(diagram):
-    """It changes at folds only: by one, and 0 before the first (the gas takes the mode of the p–V peak away)."""
+    """It changes at folds only: by one, and 0 before the first (the gas removes the unstable mode of the p–V peak)."""
     for name in ("VC=800", "VC=1600", "p=1.82"):
         found = diagram(name)
         branch = found.branches[0]
@@ -556,13 +556,13 @@ def test_flat_end_of_a_pressure_volume_curve(curve):
 @pytest.mark.parametrize(
     ("prestretch", "limit", "loading", "stretch", "pressure"),
     [
-        # the tongue of a branch that reaches down to t = 0.887 at the cliff of the pressure
+        # a branch with a tongue that extends down to t = 0.887 at the cliff of the pressure
         (1.1875613993405114, 495.4295954252201, (27.596056266589027, 1.3123971815451052), 13.80991847, 0.68590719),
-        # a branch that passes another one closely
+        # a branch that passes close to another one
         (2.9582343078895965, 556.676718357814, 0.4923181131294612, 13.69559259, 0.49231811),
-        # and one on which a finer grid once went over to another branch
+        # and one on which a finer grid once switched to another branch
         (1.0433649474478353, 973.3212420954831, (101.50689913134966, 1.4154875689869317), 19.26652270, 1.24919879),
-        # one whose first trace stops at t = 0.80, and whose points come to 0.90
+        # one whose first trace stops at t = 0.80, and whose points extend to 0.90
         (1.2987981894924407, 448.09374615143213, 0.913593481150794, 13.05, 0.91359348),
     ],
 )

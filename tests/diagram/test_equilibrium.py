@@ -65,7 +65,7 @@ def test_states_next_to_a_fold(membrane, gap):
         return (high - low) / 2
 
     assert near(peak + gap) == []
-    # the square root's law from a hundred times farther away holds to the cubic term, gap itself
+    # the square-root law, extrapolated from a hundred times farther away, holds up to the cubic term, the gap itself
     assert half_distance(gap) == pytest.approx(half_distance(100 * gap) / 10, rel=max(2 * (100 * gap) ** 0.5, 1e-2))
 
 

@@ -1,4 +1,4 @@
-"""Hard cases: nothing is answered wrongly without saying so; the cases and their truths are in benchmarks/acceptance/hard_cases.py."""
+"""Hard cases: no wrong answer without a flag; the cases and their references are in benchmarks/acceptance/hard_cases.py."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from dielectric_jax.model import Outcome
 
 @pytest.mark.parametrize("number", hard_cases.CASES)
 def test_case(number):
-    """Every row of the case in its quick setting is right, and most without a flag."""
+    """Every row of the case in its quick setting is correct, and most without a flag."""
     rows = list(hard_cases.CASES[number][1](True))
     assert rows
     wrong = [
@@ -28,14 +28,14 @@ def test_a_pair_of_states_between_two_stations():
     diagram = hard_cases.voltage_volume(dj.ConstantPressure(hard_cases.PEAK_PRESSURE * (1 - 1e-8))).value
     zeros = sorted(p.volume for p in diagram.special_points if p.kind == "zero_voltage")
     assert len(zeros) == 3
-    # p = p_peak − p'' δ²/2: the two are where extended precision has them
+    # p = p_peak − p'' δ²/2: the two states agree with extended precision
     states = [p for p in diagram.special_points if p.kind == "zero_voltage" and p.volume < 3]
     assert [p.index for p in sorted(states, key=lambda p: p.volume)] == [0, 1]
     assert diagram.ramp().events[0].state.volume == pytest.approx(zeros[0])
 
 
 def test_states_towards_the_cone():
-    """At Φ = 0.3 the pressure 1.2911981 is passed once between each two folds; none is left out near t = 1."""
+    """At Φ = 0.3 the pressure 1.2911981 occurs once between each two folds; no state near t = 1 is missed."""
     states = dj.equilibrium(dj.Membrane(), voltage=0.3, pressure=1.2911981, all=True)
     stretches = [s.apex_stretch for s in sorted(states, key=lambda s: s.apex_stretch)]
     folds = [1.823782785, 2.842038517, 3.255793719, 3.404189858, 3.451755287, 3.465533699]  # by `contour_truth`
@@ -45,14 +45,14 @@ def test_states_towards_the_cone():
 
 
 def test_codes_where_nothing_is_flat():
-    """A film beyond slack is not "near flat", and a stretch that no double tells from λ0 is."""
+    """A film beyond slack is not "near flat", but a stretch that equals λ0 in double precision is."""
     with pytest.raises(SceneError) as refusal:
         dj.equilibrium(dj.Membrane(prestretch=3.0), voltage=0.36, pressure=1e-8)
     assert refusal.value.code is Code.no_equilibrium
     with pytest.raises(SceneError) as refusal:
         dj.equilibrium(dj.Membrane(), apex_stretch=1 + 1e-12)
     assert refusal.value.code is Code.near_flat
-    # λ0 = 1 + 1e-6 at p = 1e-4 has one state; another, of no accuracy at all, was once listed
+    # λ0 = 1 + 1e-6 at p = 1e-4 has one state; another, without any accuracy, was once listed
     states = dj.equilibrium(dj.Membrane(prestretch=1 + 1e-6), pressure=1e-4, all=True)
     assert len(states) == 1 and states[0].error_estimate < 1e-9
 
@@ -66,7 +66,7 @@ def test_a_scan_with_nodes_that_no_grid_resolves(limit):
 
 
 def test_folds_about_the_middle_of_two_rows():
-    """Just below the cusp V_C = 484.04966 two folds lie between rows: told, or left to the continuation, never denied."""
+    """Just below the cusp V_C = 484.04966 two folds lie between rows: found, or left to the continuation, never denied."""
     volumes = hard_cases.CUSPS[0] - np.array([1e-1, 1e-2, 3e-3, 2e-3, 1e-3])
     ramps = dj.diagram.chamber_ramps(hard_cases.surface_of(), volumes, hard_cases.FILLING)
     decided = ramps.outcome != Outcome.unresolved
@@ -74,7 +74,7 @@ def test_folds_about_the_middle_of_two_rows():
 
 
 def test_the_truth_of_contours():
-    """The benchmark's own truth against reference numbers that share nothing with it."""
+    """The benchmark's own reference against numbers that share nothing with it."""
     ((place, peak),) = contour_truth.turning(lambda a: truth.states(a, 0.0, 270.0, 1.0)[0], 2.263, 0.05)
     assert abs(peak - 1.908684829414) < 2e-12 and abs(place - 2.26310592942) < 1e-9
     gas = contour_truth.Gas(1600.0, 2.42, hard_cases.START_PRESSURE)

@@ -1,4 +1,4 @@
-"""Every way of asking gives one answer: whole diagrams, batches, surfaces, glances, sweeps, and designs."""
+"""All methods agree: whole diagrams, batches, surfaces, `glance`, sweeps, and designs."""
 
 import dataclasses
 
@@ -73,7 +73,7 @@ def test_known_scenes(name):
         told = {way: answer["regime"] for way, answer in answers.items()}
         assert set(told.values()) <= {regime, OPEN}, told
         assert not disagree(answers)
-        # those that leave nothing open here
+        # the methods that decide every scene here
         assert told["designs"] == told["batch"] == told["diagram"] == regime
 
 
@@ -96,7 +96,7 @@ def test_a_hole_in_the_scan_leaves_a_landing_undecided(monkeypatch):
 def test_folds_ahead_at_the_edge_of_the_scanned_window():
     """Beyond breakdown q rises to t = 0.9 in one chamber; in the other it turns at (4.04913, 0.0766374), just below t = 0.9.
 
-    The whole diagrams find no fold, and this one. The scan may leave it open.
+    The whole diagrams find no fold in the first and this one in the second. The scan may leave it undecided.
     """
     film = dj.Membrane(dj.MooneyRivlin(0.48657263734491984, 0.013427362655080164), prestretch=3.540484634974085)
     rises = dj.Chamber(2211.1113246424216, initial_volume=845.2864959398862, atmospheric_pressure=0.7439809064967118)
@@ -112,7 +112,7 @@ def test_folds_ahead_at_the_edge_of_the_scanned_window():
 
 
 def test_a_start_held_by_a_stiff_chamber_and_a_fold_beyond_the_window():
-    """V_0 = 3.857 lies past the peak of the pressure at V = 2.797; the air holds the membrane, which snaps at Φ = 0.18624058."""
+    """V_0 = 3.857 lies past the peak of the pressure at V = 2.797; the closed air stabilises the membrane, which snaps at Φ = 0.18624058."""
     film = dj.Membrane(dj.MooneyRivlin(0.7102170416433428, 0.00034138315149295594))
     held = dj.Chamber(0.027916957086637915, initial_volume=3.856810870609954)
     wide = dj.Membrane(dj.MooneyRivlin(0.49547546028692446, 0.004524539713075538))

@@ -20,7 +20,7 @@ def agree(found, expected, below=0.9):
     membrane = expected.scene.membrane
 
     def low(diagram):
-        # towards a cone folds go on as far as the error estimates allow
+        # towards a cone folds continue as far as the error estimates allow
         limit = [float(membrane.largest_load(p.apex_stretch)) for p in diagram.special_points]
         return [p for p, q in zip(diagram.special_points, limit, strict=True) if p.voltage_squared < below * q]
 
@@ -40,7 +40,7 @@ def agree(found, expected, below=0.9):
 
 
 def indices(branch, membrane, below=0.9):
-    """The index of one section after the other, as far as branches need to go."""
+    """The index of one section after the other, as far along as the branches extend."""
     low = branch.voltage_squared < below * np.asarray(membrane.largest_load(branch.apex_stretch))
     return [int(k) for k, _ in itertools.groupby(branch.index[low])]
 
@@ -69,7 +69,7 @@ def test_another_prestretch():
 
 
 def test_the_surface_alone(surface, chamber):
-    """Without certificate and extension: the same points and ramp, the branch ends where the surface does."""
+    """Without certification and extension: the same points and ramp, and the branch ends where the surface does."""
     scene = dj.Scene(dj.Membrane(), dj.Chamber(volume=1600.0, initial_volume=2.42))
     found, expected = dj.voltage_volume(scene, surface=surface, certify=False, extend=False), chamber(1600.0)
     assert [p.kind for p in found.special_points] == [p.kind for p in expected.special_points[:6]]
@@ -78,7 +78,7 @@ def test_the_surface_alone(surface, chamber):
         assert a.volume == pytest.approx(b.volume, rel=1e-8) and a.index == b.index
     (branch,) = found.branches
     assert branch.start is branch.end is dj.Code.surface_edge
-    # what of the scanned window is not drawn is not claimed
+    # the diagram does not claim parts of the scanned window that it does not cover
     assert not found.complete
     assert found.area_strain == pytest.approx(expected.area_strain, rel=1e-8)
     assert (np.diff(branch.index[[0, -1]]) == 0).all() and branch.index.max() == 1

@@ -31,7 +31,7 @@ def test_reference_numbers(surface):
     assert np.allclose(ramps.area_strain, [12.6847453, 14.0104827, 16.1218889, 25.567264], rtol=1e-7)
     assert np.allclose(ramps.start.pressure, 1.886612680245, rtol=1e-11)
     assert (ramps.error < 1e-9).all()
-    # 500 has no fold, 800 and 1600 two; 1600 and 25000 dip below zero voltage, so that the way down stays
+    # 500 has no fold, 800 and 1600 two; 1600 and 25000 dip below zero voltage, so that the membrane stays snapped on the way down
     assert list(np.isfinite(ramps.folds.volume).sum(axis=1)) == [0, 2, 2, 2]
     assert list(np.isfinite(ramps.zero_voltage.volume).sum(axis=1)) == [1, 1, 3, 3]
     assert list(np.isfinite(ramps.snap_back.voltage[:, 0])) == [False, True, False, False]
@@ -63,7 +63,7 @@ def test_a_snap_between_the_last_row_and_breakdown_is_not_passed_over():
 
 
 def test_known_edges_of_regimes(surface):
-    """Breaks in the snap below V_C = 467.850181739; no snap between the cusps 484.04966 and 551.39914 (V_0 = 2.42)."""
+    """Breakdown in the snap below V_C = 467.850181739; no snap between the cusps 484.04966 and 551.39914 (V_0 = 2.42)."""
     ramps = chamber_ramps(surface, [467.84, 467.86, 484.0, 484.1, 551.3, 552.0], 2.42)
     assert list(ramps.outcome[:2]) == [Outcome.breakdown_in_snap, Outcome.breakdown_on_branch]
     decided = ramps.outcome != Outcome.unresolved
@@ -72,13 +72,13 @@ def test_known_edges_of_regimes(surface):
     # at V_C = 25000 the membrane survives the snap only when filled beyond V_0 = 2.361001148
     ramps = chamber_ramps(surface, 25000.0, [2.36100, 2.36101])
     assert list(ramps.outcome) == [Outcome.breakdown_in_snap, Outcome.breakdown_on_branch]
-    # bistable, so that the way down stays in the snapped state, from V_C = 1455.896262454
+    # bistable from V_C = 1455.896262454, so that the membrane stays snapped on the way down
     ramps = chamber_ramps(surface, [1455.89, 1455.91], 2.42)
     assert list(np.isfinite(ramps.snap_back.voltage[:, 0])) == [True, False]
 
 
 def agrees(points, i, states, field="volume"):
-    """The numbers of a kind of event, against the states of a diagram's ramp."""
+    """The numbers of a kind of event, compared with the states of a diagram's ramp."""
     mine = np.atleast_1d(getattr(points, field)[i])
     mine = mine[np.isfinite(mine)]
     return len(mine) == len(states) and np.allclose(mine, [getattr(s, field) for s in states], rtol=1e-8, atol=1e-11)
@@ -128,7 +128,7 @@ def test_the_continuation_of_the_same_scenes(prestretch, most, surface):
 
 
 def test_constant_pressure(surface):
-    """At constant pressure the paper's p = 1.82 and 1.5 break down in the snap; all of it against the diagram."""
+    """At constant pressure the paper's p = 1.82 and 1.5 break down in the snap; everything is compared with the diagram."""
     pressures = [1.0, 1.5, 1.82]
     ramps = pressure_ramps(surface, pressures)
     assert (ramps.regime == Regime.breaks_in_snap).all()

@@ -54,7 +54,7 @@ def test_the_map_of_a_user_s_material():
 
 
 def test_the_map_is_differentiable():
-    """dV and dp by (λa, q): of the map by jvp, by central differences, and of the equilibrium by the implicit rule."""
+    """dV and dp by (λa, q): of the map by jvp, by central differences, and of the equilibrium by the implicit function theorem."""
     apex, q = 3.5, 0.01
 
     def pv(x):
@@ -96,7 +96,7 @@ FILMS = {
 
 @pytest.mark.parametrize("name", FILMS)
 def test_the_scan_interpolates_the_map(name):
-    """To 5e-3 everywhere and to 1e-6 in the median, and nearly all of it to what `beyond` takes for its noise."""
+    """To 5e-3 everywhere and to 1e-6 in the median, and nearly everywhere to the noise level that `beyond` assumes."""
     film = FILMS[name]
     stretches, _, loads = dj.Scene(film, dj.ConstantVoltage(0.0)).limits()
     sampled = cached_scan(film, stretches, loads)
@@ -119,7 +119,7 @@ def noise_of(film, apex, fraction):
 
 
 def test_steps_of_the_map_beyond_its_limit_are_refused():
-    """More steps than the integration allows would end it on the way."""
+    """More steps than the integration allows would end it before the rim."""
     with pytest.raises(ValueError, match=r"`steps` must be between 1 and 320, but is 512\.0"):
         dj.model.explicit_map(dj.Gent(), 2.0, 0.0, 1.0, 512.0)
 

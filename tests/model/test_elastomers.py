@@ -105,7 +105,7 @@ def test_beyond_limits():
         ),
         (lambda: dj.Electrostrictive(RUBBER), "`elastic` must be a material without a permittivity of its own"),
         (lambda: dj.Electrostrictive(stretch_coefficient=math.nan), "`stretch_coefficient` must be finite"),
-        # C falls from the start on: no window is left
+        # C falls from the start: no window is left
         (lambda: dj.Membrane(dj.Electrostrictive(stretch_coefficient=-9.0), 1.2), "`prestretch` must be below"),
     ],
 )
@@ -160,7 +160,7 @@ def test_the_energy_route():
     assert by_volume == pytest.approx(here.pressure, rel=1e-8)
     assert by_voltage == pytest.approx(-here.charge, rel=1e-8)
     assert abs(dj.model.scaling_defect(film, dj.profile(film, here))) < 1e-10
-    # the ideal dielectric is another one
+    # the ideal dielectric gives a different value
     other = dj.equilibrium(dj.Membrane(prestretch=1.2), volume=volume, voltage=voltage)
     assert abs(other.charge / here.charge - 1) > 0.05
 

@@ -1,4 +1,4 @@
-"""Energies written by a user: what is refused and how, constants by name, and the window of a material that stiffens."""
+"""User-defined energies: what is refused and how, constants by name, and the window of a material that stiffens."""
 
 import dataclasses
 import inspect
@@ -56,7 +56,7 @@ def test_what_is_no_energy_is_refused_in_a_sentence(name):
 
 
 def test_energies_of_membranes_are_taken():
-    """A constant in W is no stress, and a modulus near 1 is a user's choice; 1/45000 of the energy in pascal is taken."""
+    """A constant in W adds no stress, and a modulus near 1 is the user's choice; 1/45000 of an energy in pascal is accepted."""
     for function in (
         lambda a, b: 7 + rise(a, b) / 2,
         lambda a, b: 0.6 * rise(a, b),
@@ -162,7 +162,7 @@ def test_the_window_of_a_material_that_stiffens_ends_at_a_balloon_pressure(expon
 
 
 def test_other_windows_stay():
-    """12 prestretches without lock-up; what a user says; never beyond a pole, where (λ − 1) s'/s grows without bound."""
+    """12 prestretches without lock-up; the user's own value; never beyond a pole, where (λ − 1) s'/s grows without bound."""
     for prestretch in (1.0, 2.0, 4.0):
         for material in (dj.NeoHookean(), dj.MooneyRivlin(), dj.MooneyRivlin(0.0, 0.5), dj.Ogden()):
             assert end_of(material, prestretch) == (12 * prestretch, False)
@@ -208,7 +208,7 @@ DOUBLED = dj.Ogden(moduli=(0.0, 0.0, -1.0), exponents=(1.0, 2.0, -2.0))  # Moone
     ("material", "prestretch"), [(SILICONE, 1.0), (STEEP, 1.0), (DOUBLED, 4.0)], ids=["silicone", "steep", "doubled"]
 )
 def test_the_whole_curve_of_a_stiff_material(material, prestretch):
-    """From p = 0 to the end of the window in one piece, on states of another integrator; `equilibrium` lies on it."""
+    """One branch from p = 0 to the end of the window, on states of another integrator; `equilibrium` lies on it."""
     film = dj.Membrane(material, prestretch)
     curve = dj.pressure_volume(film)
     (branch,) = curve.branches

@@ -70,7 +70,7 @@ def test_the_first_fold_is_where_the_explicit_map_turns(name):
 
 @pytest.mark.parametrize("held", ["pressure 1.82", "chamber 1600"])
 def test_charge_control_draws_the_same_branches(held):
-    """The same contour, so the same zero-voltage states, breakdown, loss of hoop tension; other folds."""
+    """The same contour on the chart, so the same zero-voltage states, breakdown and loss of hoop tension, but other folds."""
     voltage, charge = diagram_of(held), diagram_of(held, True)
     assert voltage.complete and charge.complete and len(voltage.branches) == len(charge.branches)
     assert (voltage.control, charge.control) == ("voltage", "charge")

@@ -168,7 +168,7 @@ def test_neo_hookean_peak():
     assert peak.apex_stretch == pytest.approx(2.195945, abs=6e-7)
     # at a peak the place does not matter to first order
     assert peak.pressure == pytest.approx(neo_hookean_pressure(2.195945), rel=2e-11)
-    # the number that was handed down, 1.8791734763, is that of Gent with J = 1e9
+    # the commonly quoted number 1.8791734763 is that of Gent with J = 1e9
     gent = dj.Membrane(material=dj.Gent(stretch_limit=1e9))
     state = dj.equilibrium(gent, apex_stretch=2.195945, window=dj.model.Window(apex_stretch=(1.0, 20.0)))
     assert state.pressure == pytest.approx(1.8791734763, rel=3e-11)
@@ -204,7 +204,7 @@ def test_profile_of_a_state(membrane):
     def spline(values):
         return make_interp_spline(shape.radius, values, k=7)
 
-    inner = shape.radius > 0.01  # towards the apex the points crowd and a difference of neighbours cancels
+    inner = shape.radius > 0.01  # towards the apex the points are dense and differences of neighbours cancel
     for values, rate in (
         (shape.r, shape.stretch_1 * np.cos(shape.theta)),
         (shape.z, shape.stretch_1 * np.sin(shape.theta)),

@@ -1,4 +1,4 @@
-"""The table of parameters against the classes that hold them, and every verb that takes parameters by their names."""
+"""The table of parameters against the classes that hold them, and every function that takes parameters by name."""
 
 import dataclasses
 
@@ -71,7 +71,7 @@ def test_replace_changes_what_the_row_says(name):
     assert differ(lambda s: s.membrane.material) == (row.change is Change.MATERIAL)
     assert differ(lambda s: s.membrane.prestretch) == (row.change is Change.PRESTRETCH)
     assert differ(lambda s: s.membrane.breakdown) == (row.change is Change.BREAKDOWN)
-    # what follows from it, and nothing else, is another number of the description
+    # only what follows from the parameter changes in the description
     told = {n: v for n, v in describe(changed).items() if v != describe(scene)[n]}
     in_si = {"shear_modulus", "thickness", "radius", "permittivity"}
     assert name in told
@@ -146,7 +146,7 @@ def test_defaults_are_those_of_the_classes():
 
 
 def test_designs_over_a_constant_of_a_material():
-    """Every value has a surface of its own, and each design is what its own diagram says."""
+    """Every value has its own surface, and each design agrees with its own diagram."""
     found = dj.classify_designs(MOONEY, {"c1": [0.47, 0.49]})
     scenes = [MOONEY.replace(c1=value) for value in (0.47, 0.49)]
     assert [dj.Regime(int(r)) for r in found.regime] == [dj.regime_of(scene) for scene in scenes]

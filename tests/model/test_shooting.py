@@ -1,4 +1,4 @@
-"""The shot from apex to rim: its order, its careful path, its derivatives, and an integration by SciPy."""
+"""The shot from apex to rim: its order, the adaptive integration, its derivatives, and an integration by SciPy."""
 
 import math
 
@@ -108,7 +108,7 @@ def test_order_of_the_grid():
     assert (errors[32.0][easy] <= errors[16.0][easy] / 2**6).all()
     assert (errors[64.0][easy] <= np.maximum(errors[32.0][easy] / 2**6, 1e-14)).all()
     assert (errors[128.0][stiff] <= errors[64.0][stiff] / 2**6).all()
-    # what the grids of the library rest on
+    # the order on which the library's choice of grids relies
     assert errors[16.0][easy].max() < 5e-9 and errors[32.0][easy].max() < 3e-11 and errors[64.0].max() < 3e-9
 
 

@@ -1,4 +1,4 @@
-"""The index of states against eigenvalues of the energy's second variation, by Ritz elements that know no shot."""
+"""The index of states against eigenvalues of the energy's second variation, by Ritz elements independent of shooting."""
 
 import functools
 import json
@@ -29,7 +29,7 @@ def state_of(ref):
 
 @functools.cache
 def inflated(prestretch):
-    """The reference states of a prestretch that are no folds, and what the package tells under every loading."""
+    """The reference states of a prestretch that are not folds, and the package's results under every loading."""
     own = [r for r in REFERENCES if r["prestretch"] == prestretch and "fold" not in r["label"]]
     states = [state_of(r) for r in own]
     membrane = dj.Membrane(prestretch=prestretch)
@@ -66,7 +66,7 @@ def test_reference_states_have_the_index_of_the_eigenvalues(prestretch):
 
 
 def test_a_constraint_takes_at_most_one_from_the_index():
-    """Of the chamber and the held volume from the pressure's, of the charge from the voltage's where q ≥ 0."""
+    """Index of the chamber and the held volume from that of the pressure, and of the charge from the voltage where q ≥ 0."""
     _, states, told = inflated(1.0)
     index = {name: np.array([a.index for a in answers]) for name, answers in told.items()}
     reached = np.array([s.voltage_squared >= 0 for s in states])
@@ -107,13 +107,13 @@ def test_where_hoop_tension_is_lost_and_how_deep(membrane):
 
 
 def test_beside_a_fold_the_index_changes_or_is_not_told(membrane):
-    """A little below the peak of p the two states have indices 0 and 1; at the peak none is told."""
+    """A little below the peak of p the two states have indices 0 and 1; at the peak none is reported."""
     below = dj.equilibrium(membrane, pressure=1.908684829414 - 1e-6, all=True)[:2]
     assert [a.index for a in dj.stability_of(membrane, below)] == [0, 1]
     peak = next(r for r in REFERENCES if r["label"].startswith("lam0=1 Phi=0 fold_p"))
     told = dj.stability_of(membrane, state_of(peak))
     assert told.index is None and told.reasons == ("near_fold",) and told.stable is None
-    # the fold of the pressure is none of a held volume
+    # the fold of the pressure is not a fold at held volume
     assert dj.stability_of(dj.Scene(membrane, dj.PrescribedVolume(peak["volume"])), state_of(peak)).index == 0
 
 

@@ -1,4 +1,4 @@
-"""SI and back: by hand-made conversions of the paper's membrane, by scale-free laws, and on the command line."""
+"""Conversion to SI and back: by hand for the paper's membrane, by scale-free laws, and on the command line."""
 
 import dataclasses
 import json
@@ -89,7 +89,7 @@ def test_a_scene_from_si():
 
 
 def test_other_constants_keep_the_apparatus():
-    """What is in SI stays; the breakdown field in MV/m stays; derivatives follow (p_atm A/(μH) falls as 1/H)."""
+    """Quantities in SI and the breakdown field in MV/m stay fixed; derivatives follow (p_atm A/(μH) falls as 1/H)."""
     before = scene()
     after = before.replace(shear_modulus=68e3, thickness=0.5e-3, radius=0.03, permittivity=3e-11)
     old, new = before.units.to_si(before.loading), after.units.to_si(after.loading)
@@ -218,7 +218,7 @@ def test_the_command_line_asks_for_si(capsys):
 
 
 def test_a_chamber_in_si(capsys):
-    """V_C = 1600 and V_0 = 2.42 in litres and millilitres; the pressure outside is 100 kPa when nothing is said."""
+    """V_C = 1600 and V_0 = 2.42 in litres and millilitres; the atmospheric pressure is 100 kPa by default."""
     filled = ["voltage-volume", "--si", "--chamber-volume", str(1600 * VOLUME), "--initial-volume", str(2.42 * VOLUME)]
     document = answer(capsys, *filled)
     ramp = {event["event"]: event for event in document["ramp"] if event["direction"] == "up"}

@@ -1,4 +1,4 @@
-"""Traced programs are kept in the cache folder, for what only this package defines."""
+"""Traced programs are cached in the cache folder, if only this package defines what they depend on."""
 
 import os
 import pathlib
@@ -26,7 +26,7 @@ _TRACES: list = []
 
 
 def fresh():
-    """A program that no process has seen, of a material and stretches; and how often it was traced."""
+    """A new program of a material and stretches, and a count of how often it was traced."""
     _TRACES.clear()
 
     def first_stress(material, stretch):
@@ -61,7 +61,7 @@ def test_a_later_program_is_read_not_traced(folder):
 
 
 def test_programs_of_one_factory_do_not_answer_for_each_other(folder):
-    """They share name, arguments and shapes; what they close over tells them apart, or they are not kept."""
+    """They share name, arguments and shapes; they are distinguished by what they close over, or they are not cached."""
     stretch = jnp.array([2.0])
     for _ in range(2):  # traced, then read
         for power in (2, 3):
@@ -96,7 +96,7 @@ def test_kinds_and_shapes_have_programs_of_their_own(folder):
 def test_a_users_function_is_never_kept(folder):
     program, _ = fresh()
     stretch = jnp.array([2.0])
-    for factor in (0.5, 1.0):  # two functions of one name: a kept program would answer for the other
+    for factor in (0.5, 1.0):  # two functions of one name: a cached program would be used for the other
         material = dj.CustomMaterial(lambda a, b, c=factor: c * (a**2 + b**2 + 1 / (a * b) ** 2 - 3), 10.0)
         np.testing.assert_allclose(program(material, stretch)[0], 2 * factor * (stretch - stretch**-5), rtol=1e-13)
     assert not folder.exists()
@@ -173,14 +173,14 @@ def test_a_program_that_others_may_have_written_is_not_run(folder, who):
     elif who == "owner":
         given_away(path)
     program, traces = fresh()
-    if who == "nobody else":  # the craft works: what is kept is run
+    if who == "nobody else":  # the attack works: a cached program is run
         assert float(program(dj.Gent(), stretch)[0][0]) == pytest.approx(2 * gent_stress(270.0, 2.0), rel=1e-13)
         return
     with pytest.warns(RuntimeWarning, match="must be this user's alone") as said:
         found = program(dj.Gent(), stretch)[0][0]
     assert float(found) == pytest.approx(gent_stress(270.0, 2.0), rel=1e-13)
     assert len(traces) == 1 and len(said) == 1 and str(said[0].message).count(". ") == 0
-    with warnings.catch_warnings(action="error"):  # said once
+    with warnings.catch_warnings(action="error"):  # the warning appears once
         fresh()[0](dj.Gent(), jnp.array([2.0]))
 
 
@@ -195,7 +195,7 @@ def test_a_folder_that_others_may_change_is_refused(monkeypatch, tmp_path, who):
     try:
         assert dj.enable_compilation_cache(own) == cache.enabled_folder() == own
         assert own.stat().st_mode & 0o777 == 0o700
-        os.chmod(own.parent, 0o1777)  # as /tmp: others may not rename what is not theirs
+        os.chmod(own.parent, 0o1777)  # like /tmp: others may not rename files of this user
         assert dj.enable_compilation_cache(own) == own
         if who == "folder":
             own.chmod(0o770)
@@ -215,7 +215,7 @@ def test_a_folder_that_others_may_change_is_refused(monkeypatch, tmp_path, who):
             assert dj.enable_compilation_cache(own) is None
         assert cache.enabled_folder() is None
         monkeypatch.setenv("DIELECTRIC_JAX_CACHE", str(own))
-        if who != "file inside":  # a file of JAX's says nothing of the surfaces beside it
+        if who != "file inside":  # a file of JAX does not affect the surfaces beside it
             assert dj.Surface.path_of(dj.Membrane(), 1e-9) is None
     finally:
         jax.config.update("jax_compilation_cache_dir", jax_folder)
@@ -235,7 +235,7 @@ def test_a_surface_of_another_user_is_built_anew(monkeypatch, tmp_path):
     with pytest.warns(RuntimeWarning, match="belongs to another user"):
         found = dj.Surface.build(membrane, tolerance=1e-5)
     assert float(found(1.5, 0.0).pressure) == float(right(1.5, 0.0).pressure)
-    assert path.stat().st_uid == 0 and path.stat().st_mode & 0o777 == 0o600  # it took the other one's place
+    assert path.stat().st_uid == 0 and path.stat().st_mode & 0o777 == 0o600  # it replaced the other file
 
 
 def test_without_numbers_of_users_nothing_is_asked(folder, monkeypatch):

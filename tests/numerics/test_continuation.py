@@ -175,7 +175,7 @@ def test_an_isola():
         assert Code(int(found.code)) is Code.closed
         assert (np.sign(x[:, 0]) == side).all()
         assert x[:, 1].min() == pytest.approx(-0.5, abs=0.05) and x[:, 1].max() == pytest.approx(0.5, abs=0.05)
-        # beginning at one of its two turning points in the load, it passes the other and the first again
+        # starting at one of its two turning points in the load, it passes the other and then the first again
         assert turning_points(x, t, 0) == 2
 
 

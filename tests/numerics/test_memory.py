@@ -1,4 +1,4 @@
-"""Other constants and other numbers of scenes compile nothing new, and what is kept of programs is bounded."""
+"""Changing constants or the number of scenes compiles nothing new, and the number of cached programs is bounded."""
 
 import collections
 
@@ -23,7 +23,7 @@ jax.monitoring.register_event_duration_secs_listener(_listen)
 
 
 def film(share):
-    """Membranes of one kind that take the same ways through the code, with constants of their own."""
+    """Membranes of one kind that take the same paths through the code, with different constants."""
     law = dj.VHBBreakdown(scale=1 + 0.02 * share)
     return dj.Membrane(dj.Gent(stretch_limit=270.0 + 20 * share), 1.2 + 0.03 * share, law)
 
@@ -73,9 +73,9 @@ def shots(share, count):
 
 
 def test_other_constants_and_counts_compile_nothing(monkeypatch):
-    monkeypatch.setattr(kept, "_PROGRAMS", kept.Programs(most_live=1e9))  # nothing is given up here
+    monkeypatch.setattr(kept, "_PROGRAMS", kept.Programs(most_live=1e9))  # nothing is released here
     ways = curves, states, batches, surfaces, points, shots
-    for share, count in ((0.0, 3), (0.5, 17)):  # the second takes the turns that the first did not
+    for share, count in ((0.0, 3), (0.5, 17)):  # the second takes the code paths that the first did not
         for ask in ways:
             ask(share, count)
     for share, count in ((0.3, 5), (0.4, 3)):
@@ -86,7 +86,7 @@ def test_other_constants_and_counts_compile_nothing(monkeypatch):
 
 
 def stress_program(most_live, monkeypatch):
-    """∂W/∂λ1 at equal stretches as a program of its own, with little room for programs."""
+    """∂W/∂λ1 at equal stretches as a separate program, with a small limit on programs."""
     programs = kept.Programs(most_live=most_live)
     monkeypatch.setattr(kept, "_PROGRAMS", programs)
 
@@ -111,14 +111,14 @@ def test_programs_out_of_use_are_given_up_and_come_back(packed, monkeypatch, tmp
     monkeypatch.setattr(kept, "_read_from_cache", [])
     folder = jax.config.jax_compilation_cache_dir
     jax.config.update("jax_compilation_cache_dir", None if packed else folder)
-    compilation_cache.reset_cache()  # JAX remembers the folder it began with
+    compilation_cache.reset_cache()  # JAX remembers the folder it started with
     try:
         for _ in range(2):
             before = compiled.total()
             for material, exact in STRESSES:
                 np.testing.assert_allclose(program(material, STRETCH)[0], exact, rtol=1e-13)
                 assert programs.count() == 1
-        # the packed programs need no compiling the second time
+        # the serialised programs need no compilation the second time
         assert (compiled.total() - before == 0) == packed
     finally:
         jax.config.update("jax_compilation_cache_dir", folder)

@@ -1,4 +1,4 @@
-"""Cross-sections, distributions, material pages, ramps as loops and films, tables in notebooks."""
+"""Cross-sections, distributions, material pages, ramps as loops and animations, tables in notebooks."""
 
 import dataclasses
 
@@ -50,7 +50,7 @@ def test_a_cross_section(balloon):
 
 def test_the_latitude_of_breakdown(balloon):
     assert dj.plot.breakdown_latitudes(balloon) == []
-    ratio = 1.5 - balloon.radius**2  # is one at R = √½
+    ratio = 1.5 - balloon.radius**2  # equals one at R = √½
     broken = dataclasses.replace(balloon, breakdown_ratio=ratio)
     (latitude,) = dj.plot.breakdown_latitudes(broken)
     assert latitude == pytest.approx(0.5**0.5, abs=1e-4)

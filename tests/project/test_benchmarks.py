@@ -14,7 +14,7 @@ ROOT = pathlib.Path(__file__).parents[2]
 
 
 def quick(script: str, tmp_path, *more) -> tuple[dict, str]:
-    """The JSON document of one run, and what it said."""
+    """The JSON document of one run, and its text on standard error."""
     pytest.importorskip("scipy")
     command = [sys.executable, "-m", f"benchmarks.{script}", "--quick", "--json", "-", *more]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
@@ -59,7 +59,7 @@ def test_the_estimates_of_a_few_states_are_honest(tmp_path):
     assert counts["states"] == counts["converged"] == 12, said
     assert counts["exceptions"] == counts["ratio_above_allowed"] == counts["truth_not_sharp_enough"] == 0, said
     assert record["ratio"]["max"] <= 10
-    # the truth itself, which SciPy's integrator in double precision meets
+    # the reference itself, which SciPy's integrator in double precision reproduces
     assert record["truth_against_scipy"]["largest_difference"] < 1e-9
 
 
@@ -98,7 +98,7 @@ def test_sixty_random_scenes_have_one_answer_in_every_way(tmp_path):
     record, said = quick("acceptance.one_answer", tmp_path)
     assert "PASSED" in said and record["differing"] == []
     assert set(record["asked"].values()) == {60} and len(record["asked"]) == 7
-    # what decides by itself leaves nothing open, and the quick ways decide most
+    # the complete methods leave nothing undecided, and the fast methods decide most scenes
     assert record["undecided"]["diagram"] == record["undecided"]["designs"] == 0
     assert max(record["undecided"].values()) <= 20
 
@@ -165,7 +165,7 @@ def test_a_surface_is_as_exact_as_it_says(tmp_path):
 def test_the_references_of_the_chambers_agree_with_what_is_known():
     found = chambers.reference()
     assert len(found) == 256
-    # between these chamber volumes two folds have merged; below the last the landing of the snap is broken
+    # between these chamber volumes two folds have merged; below the last the landing lies beyond breakdown
     bare = [c for c, one in found.items() if not one.folds]
     assert bare == [c for c in found if 484.04966 < c < 551.39914]
     assert all(one.landing is not None for c, one in found.items() if c not in bare)

@@ -27,7 +27,7 @@ def test_the_blocks_of_a_page_run(page, monkeypatch, tmp_path):
 
 
 def sweeps_page(names):
-    """What the page says of its own examples."""
+    """Checks of the statements on the page about its examples."""
     assert names["data"].regime.sizes == {"chamber_volume": 40, "initial_volume": 3}
     assert abs(float(names["small"].area_strain[1]) - 16.1218889) < 1e-7
     assert names["opened"].attrs["blocks_done"] == names["opened"].attrs["blocks"]
@@ -40,7 +40,7 @@ def sweeps_page(names):
 
 
 def calibration_page(names):
-    """The constants the page puts in come out within their intervals."""
+    """The true constants on the page lie within the fitted intervals."""
     found = names["found"]
     for name, true in (("shear_modulus", 60e3), ("stretch_limit", 120.0)):
         low, high = found.intervals[name]

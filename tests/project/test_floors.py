@@ -1,4 +1,4 @@
-"""The house: packages on floors, each imported through its face by packages on higher floors, without circles inside."""
+"""The layering: packages import only the public names of packages on lower floors; no circular imports inside a package."""
 
 import ast
 import graphlib
@@ -26,7 +26,7 @@ FLOORS = {
 def imports_of(source: str, package: str) -> list[tuple[str, str]]:
     """(package, module) of every import from the project in a module of `package`, also inside functions.
 
-    The module is "" where the face of the package is imported; the package is "" for the project itself.
+    The module is "" if the package itself is imported; the package is "" for the project itself.
     """
     found = []
     for node in ast.walk(ast.parse(source)):
@@ -67,7 +67,7 @@ def test_a_package_imports_faces_of_lower_floors(package):
             if other == package:
                 continue
             edge = f"{package}/{path.name} -> {other or 'dielectric_jax'}{'.' + module if module else ''}"
-            # the command line stands on the package as a user sees it
+            # the command line uses the package as a user sees it
             allowed = other in FLOORS and FLOORS[other] < FLOORS[package] and not module
             assert allowed or (path.stem == "cli" and not other), edge
 
@@ -79,7 +79,7 @@ def test_there_are_no_circles_inside_a_package(package):
         for path in modules_of(package)
     }
     assert set().union(*graph.values()) <= set(graph)
-    graphlib.TopologicalSorter(graph).prepare()  # raises CycleError, which names the circle
+    graphlib.TopologicalSorter(graph).prepare()  # raises CycleError, which names the cycle
 
 
 @pytest.mark.parametrize("package", FLOORS)
@@ -88,7 +88,7 @@ def test_a_face_lists_what_it_gives(package):
     assert face.__doc__
     assert sorted(face.__all__) == sorted(set(face.__all__))
     modules = {path.stem for path in modules_of(package)}
-    assert not modules & set(face.__all__)  # a name that hides a module would be found by one way of importing only
+    assert not modules & set(face.__all__)  # a name that hides a module would be found by one form of import only
     assert all(hasattr(face, name) for name in face.__all__)
 
 
@@ -107,7 +107,7 @@ LARGE = {
 def is_large(function: ast.FunctionDef, lines: list[str]) -> bool:
     """More than 60 lines of code without docstring and comments, or more than 8 parameters.
 
-    A public function may have more options that are given by keyword only.
+    A public function may have additional keyword-only options.
     """
     doc = function.body[0].end_lineno if ast.get_docstring(function) else function.body[0].lineno - 1
     code = [line.strip() for line in lines[doc : function.end_lineno]]
@@ -130,7 +130,7 @@ def test_functions_are_short_and_take_few_parameters():
 
 
 def test_few_names_stand_at_the_top():
-    """What a first script needs, and the packages."""
+    """The top level holds what a first script needs, and the packages."""
     assert set(FLOORS) < set(dir(dj)) == set(dj.__all__)
     assert len(dir(dj)) <= 60
     with pytest.raises(AttributeError, match="no_such_name"):

@@ -26,7 +26,7 @@ def test_these_are_the_notebooks():
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
 def test_notebook_runs(path, monkeypatch):
-    # the kernel finds the package of this checkout also where it is not installed
+    # the kernel finds the package of this checkout even if it is not installed
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     notebook = nbformat.read(path, as_version=4)
     assert notebook.cells[-1].cell_type == "code" and "assert" in notebook.cells[-1].source

@@ -1,4 +1,4 @@
-"""The site of the documentation: it builds without a warning, and its pages hold every public name and every command."""
+"""The documentation site: it builds without a warning, its pages hold every public name, and their commands are valid."""
 
 import inspect
 import os
@@ -49,7 +49,7 @@ def test_every_public_name_has_its_entry(site):
 
 @pytest.mark.parametrize("words", list(commands()))
 def test_commands_are_understood(words, monkeypatch, tmp_path):
-    """Names of options and their values; what commands answer is tested with the command line."""
+    """Checks names of options and their values; the output of commands is tested with the command line."""
     monkeypatch.chdir(ROOT)  # the example files are named from there
     for name in [w for w in words if w.endswith(".csv")]:
         words[words.index(name)] = str(tmp_path / name)

@@ -29,7 +29,7 @@ def test_reference_states(family, reference):
     rows = {n: np.array([r[n] if r[n] is not None else np.nan for r in reference], float) for n in names}
     place = [rows[n] for n in names[:3]]
     inside = np.asarray(family.covers(*place))
-    # what lies outside is past the domain: beyond 1.3 times the load of breakdown
+    # states outside lie beyond the domain, which ends at 1.3 times the load of breakdown
     assert (rows["breakdown_ratio"][~inside] ** 2 > 1.29).all()
     assert all((inside & (place[2] == rim)).sum() >= least for rim, least in ((1.0, 40), (2.0, 15)))
     found, bound = family(*place), np.asarray(family.error_bound(*place))
@@ -126,7 +126,7 @@ def test_domain_and_shapes(family):
     for inside in ((2.0, 0.0, 1.0), (11.6, 0.0, 3.0), (1.0001, 0.0, 1.0), (3.5, 0.0, 3.0)):
         assert bool(family.covers(*inside))
     state = family(jnp.full((40, 1), 4.0), 0.0, jnp.linspace(1, 3, 3))
-    # lanes of a vector and those left over may round apart
+    # vectorised lanes and the remaining ones may differ by rounding
     assert state.volume.shape == (40, 3) and np.allclose(state.volume, state.volume[0], rtol=1e-15, atol=0)
     assert family(jnp.zeros(0), 0.0, 1.0).volume.shape == (0,)
     each = jax.vmap(lambda rim: family(4.0, 0.0, rim).volume)(jnp.linspace(1, 3, 3))
@@ -162,7 +162,7 @@ def test_cache(monkeypatch, tmp_path):
     options = {"prestretch": (1.0, 1.1), "tolerance": 1e-3}
     first = dj.surface.SurfaceFamily.build(dj.Gent(10.0), **options)
     (kept,) = tmp_path.rglob("*.npz")
-    monkeypatch.setattr("dielectric_jax.surface.family.build_trajectory_elements", None)  # now read, or nothing
+    monkeypatch.setattr("dielectric_jax.surface.family.build_trajectory_elements", None)  # now read from the file
     second = dj.surface.SurfaceFamily.build(dj.Gent(10.0), **options)
     assert np.array_equal(first.coefficients, second.coefficients)
     kept.write_bytes(b"broken")

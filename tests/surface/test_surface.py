@@ -1,4 +1,4 @@
-"""The surface against reference equilibria, energy identities, fresh shots, and its own file."""
+"""The surface against reference equilibria, energy identities, new shots, and its own file."""
 
 import jax
 import jax.numpy as jnp
@@ -30,7 +30,7 @@ def test_reference_states(reference, prestretch):
     surface = dj.Surface.build(dj.Membrane(prestretch=prestretch), cache=False)
     ref = columns(reference, prestretch)
     inside = np.asarray(surface.covers(ref["apex_stretch"], ref["voltage_squared"]))
-    # what lies outside is past the domain: beyond 1.3 times the load of breakdown
+    # states outside lie beyond the domain, which ends at 1.3 times the load of breakdown
     assert (ref["breakdown_ratio"][~inside] ** 2 > 1.29).all()
     assert inside.sum() >= 15
     found = surface(ref["apex_stretch"], ref["voltage_squared"])
@@ -99,7 +99,7 @@ def test_domain_and_breakdown_curve(surface):
 
 
 def test_material_derivatives_by_the_implicit_rule_and_by_rebuilding(surface):
-    """dp/dJ and dV/dJ at fixed (λa, q): the rule of the docstring, differences of the explicit map, of other surfaces."""
+    """dp/dJ and dV/dJ at fixed (λa, q): the formula in the docstring, differences of the explicit map, and of other surfaces."""
     step = 0.5
     others = [dj.Surface.build(dj.Membrane(dj.Gent(270.0 + d)), cache=False) for d in (-step, step)]
     for apex, q in ((2.4, 0.005), (6.0, 0.01), (9.5, 0.003)):

@@ -1,4 +1,4 @@
-"""What a finished sweep is asked: counts, regimes, best designs, maps, comparisons, files."""
+"""Analysis of sweeps: counts, regimes, best designs, maps, comparisons, files."""
 
 import csv
 
@@ -21,7 +21,7 @@ CHAMBERS, FILLINGS = np.geomspace(100, 10000, 5), np.linspace(1.0, 2.5, 4)
 
 @pytest.fixture
 def data():
-    """A made-up sweep: the strain is 10 log10(V_C) + V_0, the regime "returns" below V_C = 1000 and "stays" above."""
+    """A synthetic sweep: the strain is 10 log10(V_C) + V_0, the regime "returns" below V_C = 1000 and "stays" above."""
     design = Design(SCENE, axes_of({"chamber_volume": CHAMBERS, "initial_volume": FILLINGS}))
     memory = Memory(design, design.shape, variables_of(False))
     answer = empty_answer(design.count, False)
@@ -52,7 +52,7 @@ def test_selection_by_regime_keeps_every_parameter(data):
 
 def test_best_designs_obey_what_is_asked(data):
     best = dj.sweeps.best_designs(data, count=3)
-    # the largest is unknown; the next are those of the largest chamber by falling filling
+    # the largest is unknown; the next are those of the largest chamber in order of decreasing filling
     assert best.chamber_volume.values.tolist() == pytest.approx([10000] * 3)
     assert best.initial_volume.values.tolist() == pytest.approx([2.0, 1.5, 1.0])
     kept = dj.sweeps.best_designs(data, count=2, where=data.landing_ratio.isel(jump=0) <= 0.5)
@@ -90,7 +90,7 @@ def test_maps_over_two_parameters(data):
     assert ax.get_xlabel() == "Chamber volume / A³"
     mesh = ax.collections[0]
     assert mesh.get_array().shape == (4, 5) and np.array_equal(mesh.get_array()[0], data.regime[:, 0])
-    # cells of one regime have one colour, those of another have another
+    # cells of different regimes have different colours
     colours = mesh.cmap(mesh.norm(data.regime.values.T))
     assert len(np.unique(colours.reshape(-1, 4), axis=0)) == 2
     figure, own = plt.subplots()

@@ -1,4 +1,4 @@
-"""Where a sweep puts its scenes: products, lists, tables and samples, and their blocks."""
+"""The scenes of a sweep: products, lists, tables and samples, and their blocks."""
 
 import numpy as np
 import pytest
@@ -46,11 +46,11 @@ def test_samples_follow_their_distributions(method):
     for name, distribution in given.items():
         assert np.array_equal(axis.columns[name], again.columns[name])
         share = np.sort(distribution.cdf(axis.columns[name]))
-        # Kolmogorov's distance of uniform shares: 1.95/√n is exceeded once in a thousand draws, by these never
+        # Kolmogorov's distance of uniform numbers: 1.95/√n is exceeded once in a thousand draws, and not by these
         assert np.max(np.abs(share - (np.arange(1000) + 0.5) / 1000)) < 1.95 / np.sqrt(1000)
     if method == "latin_hypercube":
         strata = np.floor(given["initial_volume"].cdf(axis.columns["initial_volume"]) * 1000)
-        assert len(np.unique(strata)) > 990  # one a stratum, but for rounding at its edges
+        assert len(np.unique(strata)) > 990  # one in each stratum, except for rounding at its edges
     assert not np.array_equal(
         axis.columns["initial_volume"], dj.sweeps.samples(1000, seed=6, **given).columns["initial_volume"]
     )
@@ -79,7 +79,7 @@ def test_a_wrong_table_is_refused(tmp_path, text, said):
     path = tmp_path / "scenes.csv"
     path.write_text(text)
     with pytest.raises(ValueError) as error:
-        Design(SCENE, (dj.sweeps.read_scenes(path),))  # which names there are the scene says
+        Design(SCENE, (dj.sweeps.read_scenes(path),))  # the valid names depend on the scene
     assert said in str(error.value)
 
 

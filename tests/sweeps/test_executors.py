@@ -1,4 +1,4 @@
-"""Who computes the blocks: workers that are killed in mid-run, interrupts, executors that break, the bar."""
+"""Executors: workers that are killed in mid-run, interrupts, executors that break, the progress bar."""
 
 import concurrent.futures
 import multiprocessing
@@ -19,7 +19,7 @@ from dielectric_jax.sweeps.executors import Progress, executor_of, run_blocks
 
 
 def squared(number, folder=None, victim=None):
-    """Its square; the first process that meets the victim kills itself in mid-run."""
+    """The square of a number; the first process that is given the victim kills itself in mid-run."""
     if number == victim:
         mark = pathlib.Path(folder) / "killed"
         if not mark.exists():
@@ -76,7 +76,7 @@ def test_an_executor_of_the_user_is_used_and_its_errors_are_told():
 
 @pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="no processes fork")
 def test_an_executor_that_forks_is_refused(monkeypatch):
-    """Forks of a process that has used JAX never answer; the sentence names what does."""
+    """Forks of a process that has used JAX never answer; the message says what to use instead."""
     fork = multiprocessing.get_context("fork")
     scene = dj.Scene(dj.Membrane(), dj.Chamber(volume=1600.0, initial_volume=2.42))
     for attribute in ("_mp_context", "_context"):  # Python's own executor, and loky's
@@ -178,10 +178,10 @@ def test_an_interrupt_leaves_a_store_to_resume(tmp_path):
     while not (store / "block_done" / "c").exists():
         assert process.poll() is None
         time.sleep(0.05)
-    os.killpg(process.pid, signal.SIGINT)  # as a terminal does, to the workers too
+    os.killpg(process.pid, signal.SIGINT)  # like a terminal, also to the workers
     said = process.communicate()[1]
     assert process.returncode == 130
-    assert said.splitlines()[0].endswith("keeps what is finished, --resume goes on.") and "Traceback" not in said
+    assert said.splitlines()[0].endswith("keeps what is finished, --resume continues.") and "Traceback" not in said
     import dielectric_jax as dj
 
     assert 0 < dj.open_sweep(store).attrs["blocks_done"] < 1000

@@ -1,4 +1,4 @@
-"""Files of TOML that say what to sweep: what they mean, and what is refused."""
+"""TOML specifications of sweeps: what they mean, and what is refused."""
 
 import pathlib
 
@@ -57,7 +57,7 @@ def test_every_kind_of_axis(tmp_path):
     assert [(a.dimension, a.size) for a in axes] == [("prestretch", 2), ("case", 2), ("draw", 3), ("scene", 2)]
     assert options == {"tolerance": 1e-6}
     data = dj.sweep(dj.sweeps.scene_of({"pressure": 1.0}), prestretch=[1.0], pressure=[0.0], progress=False)
-    # a flat film that is not stretched carries no tension: no surface holds it
+    # a flat film that is not stretched carries no tension: it is on no surface
     assert data.outcome.item() == dj.sweeps.Answer.unresolved
 
 
@@ -121,7 +121,7 @@ def test_what_is_wrong_is_named(tmp_path, text, said):
 
 
 def test_constants_in_si_vary(tmp_path):
-    """A softer film under the same air: p_atm in its own units is larger by the ratio of the moduli, and so the snap."""
+    """A softer film under the same air: p_atm in its own units is larger by the ratio of the moduli, and so is the snap."""
     spec = tmp_path / "spec.toml"
     text = "[scene]\nchamber_volume = 1600\ninitial_volume = 2.42\n[product]\nshear_modulus = [40e3, 45e3]\n"
     spec.write_text(text)
@@ -151,9 +151,9 @@ AIR = "initial_volume = 2.42\n"
         (FILM + "[scene]\npressure = 3773\n[product]\nthickness = [1e-3]", "`pressure` .* would be 1.8865"),
         (FILM + "[scene]\npressure = 1.5\nbreakdown = 218e6", "`breakdown` .* V/m would be 6.6293"),
         (FILM + f"[scene]\n{AIR}[samples.a]\ncount = 4\nchamber_volume = {{from = 9e-3, to = 45e-3}}", "`chamber_volume`"),
-        # without units two quantities must look so
+        # without units two quantities must look like SI
         ("[scene]\nchamber_volume = 18e-3\ninitial_volume = 27.5e-6\natmospheric_pressure = 100e3", "looks like SI"),
-        # a pressure counted in the units of films of several thicknesses: whose?
+        # a pressure in units of films of several thicknesses is ambiguous
         (FILM + "[scene]\npressure = 1.0\n[product]\nthickness = [1e-3, 2e-3]\npressure = [1.0]", "`pressure` must not vary .* `thickness`"),
         (FILM + f"[scene]\n{AIR}[product]\nradius = [1e-2, 2e-2]\nchamber_volume = [800, 1600]", "`chamber_volume` must not vary"),
     ],

@@ -1,6 +1,6 @@
-"""Stores survive what happens to their writers: kills in the middle of writes, full disks, damage, second writers.
+"""Stores stay valid whatever happens to their writers: kills in the middle of writes, full disks, damage, second writers.
 
-The truth is a run that nobody disturbed, bit for bit; `benchmarks/acceptance/sweep_faults.py` strikes many more times.
+The reference is an uninterrupted run, bit for bit; `benchmarks/acceptance/sweep_faults.py` injects many more faults.
 """
 
 import pathlib
@@ -36,7 +36,7 @@ def faults():
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory, faults):
-    """A specification, and the store that a run of its own process makes of it."""
+    """A specification, and the store that a run in a separate process makes of it."""
     folder = tmp_path_factory.mktemp("sweep")
     spec = folder / "spec.toml"
     spec.write_text(SPECIFICATION)
@@ -68,7 +68,7 @@ def assert_same(faults, store, whole):
 
 
 def test_killed_in_the_middle_of_writes_nothing_is_lost(undisturbed, tmp_path, faults):
-    """Killed while the store is made and while blocks are written; two workers end what one process began."""
+    """Killed while the store is made and while blocks are written; two workers finish what one process began."""
     spec, whole = undisturbed
     store = tmp_path / "s.zarr"
     names = len(faults.contents(whole))
@@ -116,7 +116,7 @@ def test_a_full_disk_leaves_a_store_to_resume(undisturbed, tmp_path, faults, mon
 
 
 def test_damage_is_noticed_and_mended(undisturbed, tmp_path, faults, capfd):
-    """A chunk cut short, one with a wrong bit, and one that is gone."""
+    """A truncated chunk, one with a wrong bit, and one that is missing."""
     whole = undisturbed[1]
     store = copied(undisturbed, tmp_path)
     torn, wrong, gone = (store / f"snap_voltage/c/{i}/0" for i in (0, 2, 3))
@@ -143,7 +143,7 @@ def test_a_second_writer_is_refused(undisturbed, tmp_path):
         process.kill()
     with alone(store, wait=False):  # the lock of a killed process is free
         pass
-    # reading is free
+    # reading needs no lock
     assert dj.open_sweep(store).attrs["blocks_done"] == 4
 
 
@@ -179,7 +179,7 @@ def test_no_store_is_refused_in_words(tmp_path):
 
 
 def test_the_store_opens_without_this_package(undisturbed):
-    """In a process that never imports it, by xarray alone; the numbers are the references'."""
+    """In a process that never imports it, by xarray alone; the numbers are those of the references."""
     code = (
         "import sys, xarray; d = xarray.open_zarr(sys.argv[1], chunks=None); one = d.sel(chamber_volume=600.0)\n"
         "flags = dict(zip(d.regime.flag_values, d.regime.flag_meanings.split()))\n"

@@ -1,4 +1,4 @@
-"""Sweeps in memory: reference numbers, both engines, what is left open, and scenes that cannot be."""
+"""Sweeps in memory: reference numbers, both engines, undecided scenes, and invalid scenes."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ def test_reference_numbers_by_their_names(swept):
 
 
 def test_regimes_exclude_each_other_as_the_references_say(swept):
-    """Below 467.85 the membrane breaks in the snap, between the cusps nothing snaps, from 1455.896 on it stays."""
+    """Below 467.85 the membrane breaks down in the snap, between the cusps it does not snap, from 1455.896 on it stays."""
     names = [Regime(int(r)).name for r in swept.regime]
     assert names == ["breaks_in_snap", "no_snap", "returns", "stays", "stays"]
     assert (swept.answered_by == 0).all() and (swept.outcome.values[1:] == Answer.breakdown_on_branch).all()
@@ -66,7 +66,7 @@ def test_curves_obey_the_gas_and_hold_the_snap(swept):
 
 
 def test_continuation_agrees_and_decides_what_is_open(swept):
-    """The other engine, which integrates and steps; and whole diagrams for what it leaves open."""
+    """The other engine, which integrates and takes steps, and whole diagrams for scenes that it leaves open."""
     other = dj.sweep(SCENE, chamber_volume=CHAMBERS, engine="continuation", resolve=True, tolerance=1e-8)
     assert (other.answered_by > 0).all()
     told = dj.sweeps.compare_sweeps(swept, other)
@@ -109,7 +109,7 @@ def test_a_diagram_is_told_like_a_ramp(swept):
                 if name.startswith("breakdown_crossing") or name.startswith(("fold", "zero_voltage")):
                     known &= np.isfinite(values[0])  # the diagram follows the branch farther
                 size = np.maximum(np.abs(expected[name].values[known]), 1e-3)
-                # the place of a fold is known to the root of the error of its load
+                # the position of a fold is known to the square root of the error of its load
                 bound = 3e-5 if name.startswith(("fold", "snap")) and "voltage" not in name else 1e-8
                 assert (np.abs(values[0][known] - expected[name].values[known]) < bound * size).all(), name
 
@@ -140,7 +140,7 @@ def test_an_error_in_a_block_is_that_of_its_scene(monkeypatch):
 
 
 def test_blocks_depend_on_the_sweep_alone():
-    """On its engine, what it keeps, and its count: two runs of one sweep lay their stores out alike."""
+    """It depends on the engine, the variables and the count: two runs of one sweep have the same layout of their stores."""
     from dielectric_jax.sweeps.blocks import Job, block_size
 
     counts = 1, 500, 10_000, 131_072, 10**7
