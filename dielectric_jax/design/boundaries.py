@@ -13,12 +13,14 @@ the derivative by λa at fixed q. Between two designs a and b, the parameters a 
 The last lies beyond the surface's domain: its state at λ2 is shot.
 """
 
+import dataclasses
+
 import numpy as np
 
 from ..diagram import landings_on, loading_arrays
 from ..model import SCANNED_LOAD, SNAPPING, Regime, Scene
 from ..surface import Surface
-from .conditions import FarStates, solve_on_surface
+from .conditions import FarStates, System, solve_on_surface
 from .designs import Designs, designs_of
 
 __all__ = [
@@ -172,7 +174,7 @@ def located(
     share, error = np.full(len(begin), np.nan), np.full(len(begin), np.nan)
     todo = np.flatnonzero(np.isfinite(guess).all(axis=1))
     if len(todo):
-        equations, points = _EQUATIONS[kind]
+        system = System(*_EQUATIONS[kind], surface, scene, names, lanes=_LANES)
         unknowns, off = guess[todo], np.zeros((len(todo), 1))
         ends = begin[todo], end[todo]
         halfway = np.full((len(todo), 1), 0.5)
@@ -181,14 +183,12 @@ def located(
             for steps in _FAR_STEPS:
                 far = FarStates(surface.membrane, first, steps)
                 at = np.append(unknowns, halfway, axis=1)
-                found = solve_on_surface(
-                    equations, points, surface, scene, names, at, *ends, lanes=_LANES, last_move=1e-9, far=far
-                )
+                found = solve_on_surface(dataclasses.replace(system, far=far), at, *ends, last_move=1e-9)
                 unknowns, first = found.unknowns[:, :-1], far.pressure
                 off, halfway = np.abs(found.unknowns[:, -1:] - halfway), found.unknowns[:, -1:]
         else:
             at = np.append(unknowns, halfway, axis=1)
-            found = solve_on_surface(equations, points, surface, scene, names, at, *ends, lanes=_LANES, last_move=1e-13)
+            found = solve_on_surface(system, at, *ends, last_move=1e-13)
         place = found.unknowns[:, -1]
         with np.errstate(invalid="ignore"):
             good = (found.size < 1e-8) & (np.abs(place - 0.5) <= 0.5 + 1e-6 + beyond[todo])

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..diagram import Ramps
 from ..model import Scene
-from .conditions import solve_on_surface
+from .conditions import System, solve_on_surface
 
 __all__ = ["Kind", "Measures", "begin_of", "measure"]
 
@@ -103,7 +103,7 @@ _EQUATIONS = {
 def measure(kind: Kind, names: tuple, surface, scene: Scene, theta, guess) -> Measures:
     """Measures of designs θ (n, parameters) from guesses of their unknowns (n, …); `fair` says where Newton converged."""
     theta, guess = np.atleast_2d(theta), np.atleast_2d(guess)
-    found = solve_on_surface(_EQUATIONS[kind], _points(kind), surface, scene, names, guess, theta)
+    found = solve_on_surface(System(_EQUATIONS[kind], _points(kind), surface, scene, names), guess, theta)
     with np.errstate(invalid="ignore"):
         fair = (found.size < 1e-8) & np.isfinite(found.slopes).all(axis=(1, 2))
     return Measures(measures_of(kind), found.measures, found.slopes, found.unknowns, found.rates, fair)
