@@ -16,8 +16,7 @@ from ..diagram import Diagram, voltage_volume
 from ..model import Outcome, Regime, Scene, describe, place_of, plain
 from ..numerics import check_whole
 from ..surface import Surface, SurfaceFamily
-from .constrained_search import NEAR, Climb, Wishes, axis_of, inwards, scan_designs
-from .design_points import Kind, begin_of
+from .constrained_search import NEAR, Climb, Kind, Wishes, axis_of, begin_of, inwards, scan_designs
 from .designs import classify_designs, surface_for
 from .regime_maps import even
 from .scenarios import scenarios_of
