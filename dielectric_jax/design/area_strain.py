@@ -16,17 +16,13 @@ from ..diagram import Diagram, voltage_volume
 from ..model import Outcome, Regime, Scene, describe, place_of, plain
 from ..numerics import check_whole
 from ..surface import Surface, SurfaceFamily
-from .constrained_search import NEAR, Climb, Kind, Wishes, axis_of, begin_of, inwards, scan_designs
+from .constrained_search import Climb, Kind, Wishes, axis_of, begin_of, inwards, scan_designs
 from .designs import classify_designs, surface_for
 from .regime_maps import even
+from .resolution import ACTIVE, INWARD, MOST_SOUGHT, SEEDS, STRAIN_SCAN
 from .scenarios import scenarios_of
 
 __all__ = ["Design", "maximise_area_strain"]
-
-_MOST_SOUGHT = 6  # parameters, of which the scan takes 7 values each
-_SCAN = {1: (256,), 2: (24, 24), 3: (12, 12, 12)}
-_SEEDS = 5
-_INWARD = 1e-7  # of the range: the check steps back from the edges by it
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,8 +109,8 @@ def maximise_area_strain(
     """
     if not over:
         raise ValueError("`over` must name at least one parameter, but is empty.")
-    if len(over) > _MOST_SOUGHT:
-        raise ValueError(f"`over` must name at most {_MOST_SOUGHT} parameters, but names {len(over)}.")
+    if len(over) > MOST_SOUGHT:
+        raise ValueError(f"`over` must name at most {MOST_SOUGHT} parameters, but names {len(over)}.")
     check_whole("compare", compare, 0, 10_000_000)
     wishes = Wishes(survival_margin, operating_margin, must_snap, way_down)
     axes = [axis_of(name, limits, scene) for name, limits in over.items()]
@@ -124,7 +120,11 @@ def maximise_area_strain(
             raise ValueError(f"`{name}` must be held, because every value of it needs a surface of its own.")
     scenes = scenarios_of(scene, axes, uncertain or {}, quantile, surface, operating_margin)
     share = 0.0 if quantile is None else quantile
-    counts = _SCAN.get(len(axes), (7,) * len(axes)) if len(scenes) == 1 else (max(5, 40 // len(axes) ** 2),) * len(axes)
+    counts = (
+        STRAIN_SCAN.get(len(axes), (7,) * len(axes))
+        if len(scenes) == 1
+        else (max(5, 40 // len(axes) ** 2),) * len(axes)
+    )
     values = np.stack(
         [g.ravel() for g in np.meshgrid(*(even(a.name, (a.low, a.high), n) for a, n in zip(axes, counts, strict=True)), indexing="ij")],
         axis=1,
@@ -183,7 +183,7 @@ def _seeds(strain: np.ndarray, nominal, counts) -> list[int]:
             own = np.isfinite(strain) & (ramps.snaps == snaps) & (nominal.regime == int(regime))
             for part in _parts(own, counts):
                 best.append((-strain[part].max(), int(part[np.argmax(strain[part])])))
-    chosen = [k for _, k in sorted(best)[:_SEEDS]]
+    chosen = [k for _, k in sorted(best)[:SEEDS]]
     # thin regions between the designs of the scan
     landed = np.where(survives, np.nan_to_num(ramps.landing_ratio, nan=0.0).max(axis=-1), np.inf)
     excess = np.where(np.isfinite(strain), np.inf, landed)
@@ -202,7 +202,7 @@ def _parts(mask: np.ndarray, counts) -> typing.Iterator[np.ndarray]:
 
 def _is_true(climb: Climb, z: np.ndarray, names: tuple) -> bool:
     """Whether the ramps of the design are of the shape that was climbed, by a search that knows nothing of it."""
-    moved = np.clip(z + 10 * _INWARD * inwards(climb, z), 0.0, 1.0)
+    moved = np.clip(z + 10 * INWARD * inwards(climb, z), 0.0, 1.0)
     if climb.rows(moved) is None:
         return False
     for j in np.flatnonzero(climb.held):
@@ -257,7 +257,7 @@ def _answer(scene: Scene, best, evaluations: int, compare: int, check: bool, sha
     slack: dict = {}
     for name, value, _ in entries:
         slack[name] = min(float(value), slack.get(name, np.inf))
-    active = [(n, s) for n, v, s in entries if abs(v) <= NEAR * (1 + (abs(v) if n.endswith("er") else 0))]
+    active = [(n, s) for n, v, s in entries if abs(v) <= ACTIVE * (1 + (abs(v) if n.endswith("er") else 0))]
     multipliers: dict = {}
     if active:
         # of the area strain: its slope is balanced by those of the constraints that hold it
@@ -265,7 +265,7 @@ def _answer(scene: Scene, best, evaluations: int, compare: int, check: bool, sha
         found = scipy.optimize.nnls(np.array([s for _, s in active]).T, target)[0]
         for (name, _), value in zip(active, found, strict=True):
             multipliers[name] = multipliers.get(name, 0.0) + float(value)
-    moved = np.clip(z + _INWARD * inwards(climb, z), 0.0, 1.0)
+    moved = np.clip(z + INWARD * inwards(climb, z), 0.0, 1.0)
     near = dict(zip(climb.names, climb.place(moved)[0].tolist(), strict=True))
     regime = classify_designs(scene, {n: [v] for n, v in near.items()}, surface=climb.scenes[0].given).regime[0]
     diagram = None

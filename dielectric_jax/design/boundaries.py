@@ -22,6 +22,7 @@ from ..model import SCANNED_LOAD, SNAPPING, Regime, Scene
 from ..surface import Surface
 from .conditions import FarStates, System, solve_on_surface
 from .designs import Designs, designs_of
+from .resolution import FAR_STEPS, LANES
 
 __all__ = [
     "FOLD_BREAKS",
@@ -46,8 +47,6 @@ START, MERGING, FOLD_BREAKS, LANDING_BREAKS, REST, LANDING_LOST = (
     "snap-back at zero voltage",
     "landing leaves the window",
 )
-_LANES = 64
-_FAR_STEPS = 160.0, 320.0  # of the shots beyond the surface; their results differ by the coarser one's error
 
 
 def kind_between(one: Regime, other: Regime) -> str | None:
@@ -174,13 +173,14 @@ def located(
     share, error = np.full(len(begin), np.nan), np.full(len(begin), np.nan)
     todo = np.flatnonzero(np.isfinite(guess).all(axis=1))
     if len(todo):
-        system = System(*_EQUATIONS[kind], surface, scene, names, lanes=_LANES)
+        equations, points = _EQUATIONS[kind]
+        system = System(equations, points, surface, scene, names, lanes=LANES)
         unknowns, off = guess[todo], np.zeros((len(todo), 1))
         ends = begin[todo], end[todo]
         halfway = np.full((len(todo), 1), 0.5)
         if kind == LANDING_LOST:
             first, unknowns = unknowns[:, 4], unknowns[:, :4]
-            for steps in _FAR_STEPS:
+            for steps in FAR_STEPS:
                 far = FarStates(surface.membrane, first, steps)
                 at = np.append(unknowns, halfway, axis=1)
                 found = solve_on_surface(dataclasses.replace(system, far=far), at, *ends, last_move=1e-9)

@@ -27,11 +27,9 @@ from ..model import (
 )
 from ..numerics import cached_jit
 from ..surface import ById, Surface, SurfaceFamily, rows_of
+from .resolution import BLOCKS_OF_POINTS, FAR_ITERATIONS, FAR_SETTLED, ITERATIONS
 
 __all__ = ["FarStates", "Solved", "SurfaceConditions", "System", "solve_on_surface"]
-
-
-_TRIES, _SETTLED = 12, 1e-8  # Newton's last move of p as a share, squared in what is left
 
 
 class FarStates:
@@ -57,7 +55,7 @@ class FarStates:
         )
         todo = np.flatnonzero(np.isfinite(places).all(axis=1) & (p > 0))
         p[np.setdiff1d(np.arange(len(p)), todo)] = np.nan
-        for _ in range(_TRIES):
+        for _ in range(FAR_ITERATIONS):
             if not len(todo):
                 break
             u = np.stack([apex[todo], p[todo], load[todo]])
@@ -71,17 +69,13 @@ class FarStates:
                 move = np.clip(move, -0.5 * u[1], u[1])
             p[todo] += move
             volume[todo] += of_volume[1, todo] * move
-            todo = todo[~(np.abs(move) <= _SETTLED * p[todo])]
+            todo = todo[~(np.abs(move) <= FAR_SETTLED * p[todo])]
         p[todo] = np.nan
         self.pressure = np.where(np.isfinite(p), p, self.pressure)
         with np.errstate(all="ignore"):
             slope = -of_stretch[[0, 2]] / of_stretch[1]
             slopes = np.stack([slope, of_volume[[0, 2]] + of_volume[1] * slope])
         return np.stack([p, np.where(np.isfinite(p), volume, np.nan)], axis=1), np.moveaxis(slopes, -1, 0)
-
-
-_POINTS = (8, 32)  # of one call: few, and many
-_ITERATIONS = 14
 
 
 class SurfaceConditions:
@@ -170,7 +164,7 @@ def _jets_in_family(family: SurfaceFamily, places):
 def _jets(surface: Surface | SurfaceFamily, places: np.ndarray) -> list[np.ndarray]:
     flat = places.reshape(-1, places.shape[-1])
     parts = []
-    size = _POINTS[len(flat) > _POINTS[0]]
+    size = BLOCKS_OF_POINTS[len(flat) > BLOCKS_OF_POINTS[0]]
     for i in range(0, len(flat), size):
         own = flat[i : i + size]
         lanes = np.pad(own, ((0, size - len(own)), (0, 0)), mode="edge")
@@ -294,7 +288,7 @@ def solve_on_surface(
     size = np.full(count, np.inf)
     value = jacobian = np.empty(0)
     unknowns = u.shape[1]
-    for _ in range(_ITERATIONS):
+    for _ in range(ITERATIONS):
         value, jacobian = system.linearised(u, begin, end)
         matrix = jacobian[:, :unknowns, :unknowns] * scale[:, None, :]
         move, good = _solved(matrix, -value[:, :unknowns, None])

@@ -19,10 +19,10 @@ from ..numerics import check_between
 from .conditions import System, solve_on_surface
 from .designs import classify_designs
 from .regime_maps import check_range, even
+from .resolution import ACTIVE, AT_END, LOST_STRAIN, NEARLY_ACTIVE, TANGENT_REACH
 from .scenarios import Scenario
 
 __all__ = [
-    "NEAR",
     "Axis",
     "Climb",
     "Kind",
@@ -34,12 +34,6 @@ __all__ = [
     "measure",
     "scan_designs",
 ]
-
-NEAR = 1e-6  # a constraint this near to its limit holds with equality
-_FAILED = 1e2
-_FAR = 0.2  # of the unknowns: tangents are followed no farther
-_AT_END = 1e-9  # of a range: nearer to it is at it
-_CLOSE = 1e-5  # constraints this near to their limit are met exactly in the end
 
 
 class Kind(typing.NamedTuple):
@@ -267,7 +261,7 @@ class Climb:
         guesses = []
         for m, scenario in zip(found, self.scenes, strict=True):
             here, move = m.unknowns[0], m.rates[0] @ (step * scenario.factors)
-            guesses.append(here + move * bool((np.abs(move) < _FAR * np.abs(here)).all()))
+            guesses.append(here + move * bool((np.abs(move) < TANGENT_REACH * np.abs(here)).all()))
         return guesses
 
     def unknowns(self, z) -> list[np.ndarray]:
@@ -316,13 +310,13 @@ class Climb:
             if many:
                 return -v[-1], np.append(np.zeros(count), -1.0)
             rows = self.rows(v)
-            return (_FAILED, np.zeros(count)) if rows is None else (-rows[0][0], -rows[1][0])
+            return (LOST_STRAIN, np.zeros(count)) if rows is None else (-rows[0][0], -rows[1][0])
 
         def constraints(v):
             rows = self.rows(v[:count])
             if rows is None:
                 size = width + len(held) * many
-                return np.full(size, -_FAILED), np.zeros((size, len(v)))
+                return np.full(size, -LOST_STRAIN), np.zeros((size, len(v)))
             growth, by_z, limits = rows
             own = [(value, slope) for _, j, value, slope in limits if self.held[j]]
             g, dg = np.array([o[0] for o in own]), np.array([o[1] for o in own])
@@ -355,12 +349,12 @@ class Climb:
 
     def _polished(self, z: np.ndarray, reached: float) -> tuple:
         """The design moved onto the constraints that it all but meets, where Newton's method on them stays there."""
-        place = np.where(z < _AT_END, 0.0, np.where(z > 1 - _AT_END, 1.0, z))
+        place = np.where(z < AT_END, 0.0, np.where(z > 1 - AT_END, 1.0, z))
         for _ in range(3):
             rows = self.rows(place)
             if rows is None:
                 return z, reached
-            near = [(v, s) for _, j, v, s in rows[2] if self.held[j] and abs(v) < _CLOSE]
+            near = [(v, s) for _, j, v, s in rows[2] if self.held[j] and abs(v) < NEARLY_ACTIVE]
             free = (place > 0) & (place < 1)
             if not near:
                 break
@@ -379,7 +373,9 @@ class Climb:
 def inwards(climb: Climb, z: np.ndarray) -> np.ndarray:
     """A step that leaves every constraint that holds with equality, bounds too."""
     rows = climb.rows(z)
-    active = [s / (np.linalg.norm(s) + 1e-300) for _, j, v, s in rows[2] if climb.held[j] and v < NEAR] if rows else []
+    active = (
+        [s / (np.linalg.norm(s) + 1e-300) for _, j, v, s in rows[2] if climb.held[j] and v < ACTIVE] if rows else []
+    )
     normals = [*active, *(np.eye(len(z))[z <= 0]), *(-np.eye(len(z))[z >= 1])]
     if not normals:
         return np.zeros(len(z))

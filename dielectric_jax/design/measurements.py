@@ -7,17 +7,14 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from .resolution import BELOW_ZERO, NOISE_OF_VOLUME, SHORTEST_RUN, TURN
 from .text_tables import NUMBER, QUANTITIES, Line, Table, bare, full, split, table_of
 
-__all__ = ["BELOW_ZERO", "BRANCHES", "Measurement", "read_measurement", "runs_of"]
+__all__ = ["BRANCHES", "Measurement", "read_measurement", "runs_of"]
 
 BRANCHES = ("loading", "unloading", "all")
 
 _MISSING = {"", "-", "--", "?", "na", "n/a", "nan", "null", "none", "nil", "#n/a", "#value!", "#div/0!", "missing", "."}
-_TURN = 0.1  # a share of the largest volume: smaller reversals are noise of the volume
-_SHORTEST_RUN = 4  # points a run has at least on average, where the points are in the order of time
-BELOW_ZERO = 0.25  # a share of the largest pressure: pressures down to minus that are noise
-_ZERO = 0.01  # a share of the largest volume: volumes down to minus that are noise about the flat membrane
 
 
 @dataclasses.dataclass(frozen=True)
@@ -201,7 +198,7 @@ def _positive(path, volume, pressure, where) -> tuple[np.ndarray, list[str]]:
     """Which points have a volume above zero; volumes far below zero are refused."""
     if not len(volume):
         raise ValueError(f"`data` must hold points, but {path} has no line with a volume and a pressure.")
-    least = -_ZERO * volume.max()
+    least = -NOISE_OF_VOLUME * volume.max()
     wrong = np.flatnonzero(volume < least) if volume.max() > 0 else np.array([0])
     if wrong.size:
         raise ValueError(
@@ -227,7 +224,7 @@ def runs_of(volume: np.ndarray) -> list[tuple[int, int, bool]]:
     [(0, 5, True), (5, 10, False)]
     """
     begin = peak = sign = 0  # the run's first point, its extreme so far, and 1 where it rises, −1 where it falls
-    step, runs = _TURN * float(np.max(volume, initial=0.0)), []
+    step, runs = TURN * float(np.max(volume, initial=0.0)), []
     for i, v in enumerate(volume):
         if sign == 0:
             if abs(v - volume[0]) > step:
@@ -238,7 +235,7 @@ def runs_of(volume: np.ndarray) -> list[tuple[int, int, bool]]:
             runs.append((begin, peak + 1, sign > 0))
             begin, peak, sign = peak + 1, i, -sign
     runs.append((begin, len(volume), sign >= 0))
-    return runs if len(volume) >= _SHORTEST_RUN * len(runs) else [(0, len(volume), True)]
+    return runs if len(volume) >= SHORTEST_RUN * len(runs) else [(0, len(volume), True)]
 
 
 def _on_branch(volume: np.ndarray, where: np.ndarray, branch: str | None) -> tuple[np.ndarray, list[str]]:
