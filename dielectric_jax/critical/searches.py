@@ -125,7 +125,7 @@ def _first_fold(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     nothing = stacked([ConstantVoltage(0.0).condition()])
     start = starts([scene], SceneBatch(membrane, nothing, locks, alone=True), TOLERANCE)
     if not start.ok[0]:
-        return _by_diagram(scene, "snap")
+        return _by_diagram(scene)
     at = _point(start.u[0], start.volume[0], start.error[0])
     if start.index[0] != 0:
         return at, _no(Code.start_unstable)
@@ -153,7 +153,7 @@ def _first_fold(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
             break
         if Code(int(code)) in (Code.window_stretch, Code.window_load, Code.lock_up):
             return at, _no(Code.no_fold)
-    return _by_diagram(scene, "snap")
+    return _by_diagram(scene)
 
 
 def first_folds(scenes: Scenes) -> dict[str, np.ndarray]:
@@ -241,9 +241,10 @@ def _rising(branch, at) -> float:
     return 1.0 if q[j] > q[max(j - 2, 0)] else -1.0
 
 
-def _by_diagram(scene: Scene, name: str, surface: Surface | None = None):
-    table = _diagram_events(scene, surface)
-    return table["start"], table[name]
+def _by_diagram(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """The start of one scene and its first fold, by its diagram."""
+    table = _diagram_events(scene, None)
+    return table["start"], table["snap"]
 
 
 _COLUMNS = {"start": None, "snap": 0, "landing": 0, "breakdown": None, "snap_back": 0, "landing_back": 0, "rest": None}

@@ -68,7 +68,7 @@ def read_measurement(
             raise ValueError(f"`{name}` must be two, of volume and of pressure, but are {list(given)!r}.")
     lines, table, notices = table_of(path, columns, column_units)
     cells = _cells(path, lines[table.first :], table)
-    values, where, left = _numbers(path, cells, table)
+    values, where, left = _numbers(path, cells)
     notices += left
     volume, pressure = values * np.array([h.size or 1.0 for h in table.heads])[:, None]
     in_si = bool(table.heads[0].size)
@@ -153,7 +153,7 @@ def _value(cell: str, sign: str) -> float | None:
     return float(f"{whole.replace(other, '')}.{rest or '0'}e{found[2] or '0'}")
 
 
-def _numbers(path, rows, table: Table) -> tuple[np.ndarray, np.ndarray, list[str]]:
+def _numbers(path, rows) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Numbers (2, n), their lines, and what is said of the lines left out."""
     cells, where = rows
     sign = _decimal_sign(path, cells, where)
