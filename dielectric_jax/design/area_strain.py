@@ -16,7 +16,7 @@ from ..diagram import Diagram, voltage_volume
 from ..model import Outcome, Regime, Scene, describe, place_of, plain
 from ..numerics import check_whole
 from ..surface import Surface, SurfaceFamily
-from .constrained_search import Climb, Kind, Wishes, axis_of, begin_of, inwards, scan_designs
+from .constrained_search import Axis, Climb, Kind, Wishes, axis_of, begin_of, inwards, scan_designs
 from .designs import classify_designs, surface_for
 from .regime_maps import even
 from .resolution import ACTIVE, INWARD, MOST_SOUGHT, SEEDS, STRAIN_SCAN
@@ -120,15 +120,7 @@ def maximise_area_strain(
             raise ValueError(f"`{name}` must be held, because every value of it needs a surface of its own.")
     scenes = scenarios_of(scene, axes, uncertain or {}, quantile, surface, operating_margin)
     share = 0.0 if quantile is None else quantile
-    counts = (
-        STRAIN_SCAN.get(len(axes), (7,) * len(axes))
-        if len(scenes) == 1
-        else (max(5, 40 // len(axes) ** 2),) * len(axes)
-    )
-    values = np.stack(
-        [g.ravel() for g in np.meshgrid(*(even(a.name, (a.low, a.high), n) for a, n in zip(axes, counts, strict=True)), indexing="ij")],
-        axis=1,
-    )  # fmt: skip
+    counts, values = _scan_of(axes, len(scenes))
     strain, nominal = scan_designs(scenes, names, values, wishes, share)
     best, evaluations = None, 0
     for number in _seeds(strain, nominal, counts):
@@ -157,6 +149,17 @@ def maximise_area_strain(
     if best is None:
         raise ValueError("`over` must hold a design that fulfils the constraints, but none was found in these ranges.")
     return _answer(scene, best, evaluations, compare, check, share)
+
+
+def _scan_of(axes: list[Axis], scenarios: int) -> tuple[tuple[int, ...], np.ndarray]:
+    """How many designs the scan that begins a climb takes along each axis, and those designs (n, parameters)."""
+    count = len(axes)
+    if scenarios == 1:
+        counts = STRAIN_SCAN.get(count, (7,) * count)
+    else:
+        counts = (max(5, 40 // count**2),) * count
+    ticks = [even(a.name, (a.low, a.high), n) for a, n in zip(axes, counts, strict=True)]
+    return counts, np.stack([g.ravel() for g in np.meshgrid(*ticks, indexing="ij")], axis=1)
 
 
 def _held(scenes, names, x, wishes, share) -> np.ndarray:
