@@ -50,9 +50,9 @@ _RANGES = {
     "pressure": (0.1, 2.5, 0.01, 1.82),
     "voltage": (0.0, 0.25, 0.005, 0.05),
 }
-_DECADES = (1.0, 4.4, 0.02, 1600.0)
-_ROUND = (1.0, 1.25, 1.6, 2.0, 2.5, 3.2, 4.0, 5.0, 6.4, 8.0, 10.0)  # limits of axes, times powers of ten
-_MOST_FRAMES = 64
+_DECADES = (1.0, 4.4, 0.02, 1600.0)  # the chamber volume's: least, largest and step are powers of ten
+_ROUND = (1.0, 1.25, 1.6, 2.0, 2.5, 3.2, 4.0, 5.0, 6.4, 8.0, 10.0)  # ends of axes, times powers of ten
+_MOST_FRAMES = 64  # pictures of empty axes that are kept; beyond, the oldest is drawn again when it is needed
 _WHOLE = "Press “whole diagram” to follow it by shooting."
 
 

@@ -32,6 +32,7 @@ from ..numerics import Code, SceneError
 from ..surface import Surface
 from .host_scenes import Scenes
 from .point_systems import Conditions, Solution, attach, attach_free
+from .resolution import STEPS, TOLERANCE
 from .rim import AbstractRim, ShotRim, SurfaceRim
 from .searches import first_folds, first_folds_on_surface, guarded, ramp_events
 
@@ -46,8 +47,6 @@ __all__ = [
     "snap_point",
     "snap_voltage",
 ]
-
-_STEPS = np.array([48.0, 144.0, 240.0])  # of shots for derivatives, by the difficulty of the state
 
 
 class CriticalPoint(eqx.Module):
@@ -94,7 +93,7 @@ def _host(names: tuple, tree, shapes: list, surface: Surface | None, one: Callab
     def search(*leaves):
         scenes, shape = Scenes.of(tree, shapes, leaves)
         out = np.full((len(scenes), len(names), 8), np.nan)
-        out[..., 6] = _STEPS[0]
+        out[..., 6] = STEPS[0]
         out[..., 5] = scenes.admissible(surface)[:, None]
         good = np.flatnonzero(out[:, 0, 5] == int(Code.ok))
         if len(good):
@@ -126,7 +125,7 @@ def _steps(scenes: Scenes, found, surface: Surface | None) -> np.ndarray:
         own = slice(None) if surface is not None else own
         apex, q = np.nan_to_num(found[own, :, 0], nan=2.0), np.nan_to_num(found[own, :, 2])
         fraction = q / largest_load(key.membrane.material, apex.ravel()).reshape(apex.shape)
-        steps[own] = _STEPS[difficulty(locking_stretch(key.membrane), apex, fraction)]
+        steps[own] = STEPS[difficulty(locking_stretch(key.membrane), apex, fraction)]
     return steps
 
 
@@ -200,7 +199,7 @@ def raise_if_none(scene: Scene, found: Found, throw: bool) -> None:
     code = Code(int(found.code))
     if code is not Code.ok:
         if code is Code.no_equilibrium:
-            filling(scene, 1e-9)  # raises a more specific error about the filling
+            filling(scene, TOLERANCE)  # raises a more specific error about the filling
         raise SceneError(code)
 
 

@@ -15,6 +15,7 @@ from .critical_points import CriticalPoint, engine_of, find, point_of, start_of
 from .fixed_load import chamber_cusps, leaf_of, none, onset, pressure_extremes, zero_states
 from .fixed_load import pressure_cusp as find_pressure_cusp
 from .point_systems import Conditions, attach, attach_free
+from .resolution import TOLERANCE
 
 __all__ = [
     "bistability_onset",
@@ -25,8 +26,6 @@ __all__ = [
     "pressure_valley",
     "zero_voltage_point",
 ]
-
-_TOLERANCE = 1e-9
 
 
 def _extreme(name: str, membrane: Membrane, voltage, throw: bool) -> CriticalPoint:
@@ -60,7 +59,7 @@ def pressure_valley(membrane: Membrane, voltage=0.0, *, throw: bool = True) -> C
 
 
 def _filled(scene: Scene) -> tuple[float | None, float | None]:
-    filled = filling(scene, _TOLERANCE)
+    filled = filling(scene, TOLERANCE)
     if filled == (0.0, 0.0):
         raise SceneError(Code.flat_film)
     return filled

@@ -27,16 +27,20 @@ from ..model import (
 )
 from ..numerics import Code
 from .point_systems import Conditions, correction
+from .resolution import (
+    EXPLICIT_STEPS,
+    FINE,
+    GRIDS,
+    LEAST_ERROR,
+    LINE_LOAD,
+    MOST_LINES,
+    NODES,
+    PRESTRETCH_SPACING,
+    SAFETY,
+)
 from .rim import ShotRim
 
 __all__ = ["chamber_cusps", "onset", "pressure_cusp", "pressure_extremes", "settle", "zero_states"]
-
-_NODES, _STEPS = 200, 96.0
-_MOST_LOAD = 0.95  # of t: beyond it folds accumulate towards the cone
-_FINE = 12  # points between two nodes
-_RIMS = 0.125  # between the prestretches at which the cusp of the pressure is searched for
-_GRIDS = (48.0, 96.0)
-_SAFETY, _LEAST = 16.0, 1e-13
 
 
 class Line:
@@ -45,10 +49,10 @@ class Line:
     def __init__(self, membrane: Membrane, q: float):
         self.membrane, self.q = membrane, float(q)
         rim, high = float(membrane.prestretch), membrane.lock_up_stretch()[0]
-        apex = rim + (high - rim) * stretch_shares(1e-6, _NODES)
+        apex = rim + (high - rim) * stretch_shares(1e-6, NODES)
         t = self.q / largest_load(membrane.material, apex)
-        p, v, slope = map_nodes(membrane.material, apex, np.clip(t, -20, _MOST_LOAD), rim, _STEPS)
-        good = np.isfinite(p) & np.isfinite(v) & (slope < 0) & (t < _MOST_LOAD) & (p > 0) & (v > 0)
+        p, v, slope = map_nodes(membrane.material, apex, np.clip(t, -20, LINE_LOAD), rim, EXPLICIT_STEPS)
+        good = np.isfinite(p) & np.isfinite(v) & (slope < 0) & (t < LINE_LOAD) & (p > 0) & (v > 0)
         # one piece: the longest run of nodes
         ends = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(int), [0]])))
         runs = ends.reshape(-1, 2)
@@ -61,7 +65,7 @@ class Line:
         self.length = int(b - a)
         logs = np.stack([np.log(apex[a:b] - rim), np.log(p[a:b]), np.log(v[a:b])])
         self.spline = make_interp_spline(np.arange(b - a), logs, k=5, axis=1)
-        self.fine = np.linspace(0, b - a - 1, (b - a - 1) * _FINE + 1)
+        self.fine = np.linspace(0, b - a - 1, (b - a - 1) * FINE + 1)
 
     def at(self, place):
         """λa, p, V at positions on the line."""
@@ -75,7 +79,7 @@ class Line:
         return [brentq(function, self.fine[i], self.fine[i + 1], xtol=1e-12) for i in crossing]  # pyright: ignore
 
 
-@functools.lru_cache(maxsize=512)
+@functools.lru_cache(maxsize=MOST_LINES)
 def _line(key: MembraneKey, q: float) -> Line:
     return Line(key.membrane, q)
 
@@ -109,8 +113,9 @@ def settle(kind: PointKind, u, theta: Conditions, free: int | None = None, value
         move[which] = np.asarray(found)
         return move, float(volume)
 
+    coarse, fine = GRIDS[0]
     for _ in range(12):
-        move, volume = step(_GRIDS[0])
+        move, volume = step(coarse)
         size = np.abs(move / scale).max()
         if not size < 3:
             break
@@ -119,10 +124,10 @@ def settle(kind: PointKind, u, theta: Conditions, free: int | None = None, value
             break
     if not np.abs(move / scale).max() < 1e-7 or not np.abs((x - begin) / scale).max() < 1:
         return np.array([np.nan] * 5 + [float(Code.not_converged), np.nan])
-    move, volume = step(_GRIDS[1])
+    move, volume = step(fine)
     x = x + move
     located = 3 if free is not None else 2 if kind == PointKind.load else 1
-    error = np.abs(move[located]) / _SAFETY / max(abs(x[located]), 1e-3) + _LEAST
+    error = np.abs(move[located]) / SAFETY / max(abs(x[located]), 1e-3) + LEAST_ERROR
     return np.array([*x[:3], volume, error, float(Code.ok), x[3] if free is not None else np.nan])
 
 
@@ -215,14 +220,14 @@ def pressure_cusp(membrane: Membrane, q: float, within: tuple[float, float]) -> 
         rate = line.spline.derivative()(line.fine)
         apex, p, _ = line.at(line.fine)
         slope = rate[1] / (rate[0] * (apex - rim) / apex)
-        inner = slice(2 * _FINE, -2 * _FINE)
+        inner = slice(2 * FINE, -2 * FINE)
         least = np.flatnonzero((slope[inner][1:-1] < slope[inner][:-2]) & (slope[inner][1:-1] <= slope[inner][2:]))
         if not len(least):
             return np.nan, None
-        i = least[np.argmin(slope[inner][1:-1][least])] + 1 + 2 * _FINE
+        i = least[np.argmin(slope[inner][1:-1][least])] + 1 + 2 * FINE
         return slope[i], (float(apex[i]), float(p[i]))
 
-    rims = np.linspace(low, high, int(np.clip(np.ceil((high - low) / _RIMS) + 1, 5, 25)))
+    rims = np.linspace(low, high, int(np.clip(np.ceil((high - low) / PRESTRETCH_SPACING) + 1, 5, 25)))
     values = np.array([gap(float(r))[0] for r in rims])
     change = np.flatnonzero(
         np.isfinite(values[:-1]) & np.isfinite(values[1:]) & ((values[:-1] < 0) != (values[1:] < 0))

@@ -13,7 +13,6 @@ from scipy.optimize import brentq
 from ..diagram import hermite
 from ..model import (
     SCALE,
-    SCANNED_LOAD,
     Chamber,
     ConstantPressure,
     ConstantVoltage,
@@ -28,21 +27,27 @@ from ..numerics import SceneError, cached_jit
 from .critical_points import Found, find, start_of
 from .fixed_load import zero_states
 from .point_systems import Conditions, Solution, linearised
+from .resolution import (
+    AGREED,
+    FIRST_STEP,
+    GRIDS,
+    LARGEST_LOAD,
+    LARGEST_STEP,
+    LEAP,
+    LEAST_ERROR_ON_CURVE,
+    LOG_FROM,
+    MOST_OFFSET,
+    MOST_POINTS,
+    MOST_TURN,
+    ON_LEVEL,
+    ROOT,
+    SAFETY,
+    SETTLED,
+    SMALLEST_STEP,
+)
 from .rim import ShotRim
 
-__all__ = ["LARGEST_LOAD", "ConditionsOver", "Followed", "Lost", "Place", "System", "follow"]
-
-_GRIDS = ((48.0, 96.0), (144.0, 240.0), (240.0, 320.0))  # of shots, by the difficulty of the state
-_SAFETY, _LEAST = 16.0, 1e-12
-_SETTLED, _AGREED = 1e-6, 1e-7  # Newton's last steps on the coarser grid and on the finer
-_FIRST, _LARGEST, _SMALLEST = 0.02, 0.3, 1e-5  # steps, in scaled unknowns
-_MOST_TURN, _MOST_OFFSET = 0.25, 0.1  # radians; and of the step
-_MOST_POINTS = 2000
-_LEAP = 0.05  # change of λa of the filling from one point to the next: beyond it, it is on another branch
-_ON = 1e-9  # distance from a level, in scaled unknowns
-_PLACE = 1e-12  # tolerance of a point between two, as a fraction of the distance
-LARGEST_LOAD = SCANNED_LOAD  # of t: beyond it infinitely many folds accumulate towards the cone
-_LOG_FROM = 4.0  # the ratio of bounds above which the parameter is followed in its logarithm
+__all__ = ["ConditionsOver", "Followed", "Lost", "Place", "System", "follow"]
 
 
 class Place(typing.NamedTuple):
@@ -204,7 +209,7 @@ class System:
 
     def __init__(self, kind: PointKind, conditions: ConditionsOver, within: tuple[float, float]):
         self.kind, self.conditions, self.within = kind, conditions, within
-        self.logarithmic = within[0] > 0 and within[1] / within[0] > _LOG_FROM
+        self.logarithmic = within[0] > 0 and within[1] / within[0] > LOG_FROM
         self.control = 1 if kind == PointKind.pressure_fold else 2
         self.membrane = conditions.scene.membrane
 
@@ -239,10 +244,10 @@ class System:
         row, target = row / length, target / length
         u = z[:3] * SCALE
         hard = int(difficulty(locking_stretch(self.membrane), u[:1], np.array([self._fraction(u)]))[0])
-        for coarse, fine in _GRIDS[min(hard + finer, 2) :]:
+        for coarse, fine in GRIDS[min(hard + finer, 2) :]:
             size = math.inf
             for steps in (*[coarse] * 7, fine):
-                if steps == coarse and size < _SETTLED:
+                if steps == coarse and size < SETTLED:
                     continue
                 if not (np.isfinite(z).all() and z[0] * SCALE[0] > 1.0 and np.abs(z - begin).max() < reach):
                     raise Lost
@@ -253,7 +258,7 @@ class System:
                 except np.linalg.LinAlgError:
                     raise Lost from None
                 z, size = z + move, float(np.abs(move).max())
-            if size < _AGREED:  # the finer grid shows the remaining Newton step and the error of the coarser grid
+            if size < AGREED:  # the finer grid shows the remaining Newton step and the error of the coarser grid
                 return self._place(z, tangent * (-1.0 if tangent @ towards < 0 else 1.0), volume, move)
         raise Lost
 
@@ -266,7 +271,7 @@ class System:
     def _place(self, z, tangent, volume: float, move) -> Place:
         self.conditions.check_filling()
         u = z[:3] * SCALE
-        error = self.relative(z, move) / _SAFETY + _LEAST
+        error = self.relative(z, move) / SAFETY + LEAST_ERROR_ON_CURVE
         ratio = float(field_ratio_squared(self.membrane.breakdown, u[0], u[0]) * u[2])
         return Place(z, tangent, volume, math.sqrt(max(ratio, 0.0)), self._fraction(u), error, self.conditions.filling)
 
@@ -291,9 +296,9 @@ def _between(system: System, one: Place, other: Place, function: typing.Any) -> 
             known[s] = system.correct(guess, chord, float(chord @ guess), one.tangent, finer=1)
         return float(function(known[s]))
 
-    s = float(brentq(value, 0.0, 1.0, xtol=_PLACE))  # pyright: ignore[reportArgumentType]
+    s = float(brentq(value, 0.0, 1.0, xtol=ROOT))  # pyright: ignore[reportArgumentType]
     value(s)
-    return known[s]._replace(error=known[s].error + system.relative(known[s].z, _PLACE * chord))
+    return known[s]._replace(error=known[s].error + system.relative(known[s].z, ROOT * chord))
 
 
 class Followed(typing.NamedTuple):
@@ -317,8 +322,8 @@ def follow(system: System, start: Place, levels: np.ndarray, largest_ratio: floa
 def _one_way(system: System, start: Place, sense: float, levels: np.ndarray, largest_ratio: float):
     """The places from `start` on, why the curve ends, the crossings and the special points."""
     places, crossings, points = [start._replace(tangent=sense * start.tangent)], [], []
-    step, bend = _FIRST, np.zeros(4)
-    while len(places) < _MOST_POINTS:
+    step, bend = FIRST_STEP, np.zeros(4)
+    while len(places) < MOST_POINTS:
         here = places[-1]
         turn = offset = math.inf
         passed, lost, there = None, "step_too_small", here
@@ -330,8 +335,8 @@ def _one_way(system: System, start: Place, sense: float, levels: np.ndarray, lar
             turn = math.acos(min(1.0, there.tangent @ here.tangent))
             offset = float(np.linalg.norm(there.z - guess)) / step
             # a breakdown law may have a kink, and its curve a corner
-            corner = system.kind == PointKind.breakdown and step < 4 * _SMALLEST
-            if (turn <= _MOST_TURN and offset <= _MOST_OFFSET) or corner:
+            corner = system.kind == PointKind.breakdown and step < 4 * SMALLEST_STEP
+            if (turn <= MOST_TURN and offset <= MOST_OFFSET) or corner:
                 passed = _passed(system, here, there, levels, largest_ratio, end)
         except _NoFilling:
             lost = "no_filling"
@@ -339,8 +344,8 @@ def _one_way(system: System, start: Place, sense: float, levels: np.ndarray, lar
             pass
         if passed is None:
             step /= 2
-            if step < _SMALLEST:
-                leapt = abs(system.conditions.filling - here.filling) > _LEAP
+            if step < SMALLEST_STEP:
+                leapt = abs(system.conditions.filling - here.filling) > LEAP
                 return places, "no_filling" if leapt else lost, crossings, points
             system.conditions.begin_anew()
             continue
@@ -356,8 +361,8 @@ def _one_way(system: System, start: Place, sense: float, levels: np.ndarray, lar
         if len(places) > 4 and away < length and sense * there.tangent @ start.tangent > 0.5:
             places[-1] = places[0]
             return places, "closed", crossings, points
-        ease = min(0.5 * _MOST_TURN / (turn + 1e-12), 0.5 * _MOST_OFFSET / (offset + 1e-12))
-        step = min(max(step * min(max(math.sqrt(ease), 0.5), 2.0), _SMALLEST), _LARGEST)
+        ease = min(0.5 * MOST_TURN / (turn + 1e-12), 0.5 * MOST_OFFSET / (offset + 1e-12))
+        step = min(max(step * min(max(math.sqrt(ease), 0.5), 2.0), SMALLEST_STEP), LARGEST_STEP)
     return places, "too_many_points", crossings, points
 
 
@@ -370,7 +375,7 @@ def _ahead(system: System, here: Place, step: float, bend) -> tuple[Place | None
             return there, guess, ""
         guess = there.z
     end, bound = ("lower_bound", 0.0) if guess[3] < 0 else ("upper_bound", 1.0)
-    if abs(here.z[3] - bound) < _ON:
+    if abs(here.z[3] - bound) < ON_LEVEL:
         return None, guess, end
     guess = here.z + (guess - here.z) * (bound - here.z[3]) / (guess[3] - here.z[3])
     return system.correct(guess, np.eye(4)[3], bound, here.tangent, 2 * step), guess, end
@@ -390,15 +395,15 @@ def _passed(system: System, here: Place, there: Place, levels: np.ndarray, large
     ):
         if system.kind == PointKind.pressure_fold and reason == "zero_voltage":
             continue
-        if function(there) < 0 and function(here) < _ON:
+        if function(there) < 0 and function(here) < ON_LEVEL:
             return [], [], [], reason
         if function(there) < 0:
             level = (2, 0.0) if reason == "zero_voltage" else function
             there, end = _between(system, here, there, level), reason
     for i, w in enumerate(levels):
         before, after = here.z[3] - w, there.z[3] - w
-        if abs(after) < _ON or (before * after < 0 and abs(before) > _ON):
-            place = there if abs(after) < _ON else _between(system, here, there, (3, w))
+        if abs(after) < ON_LEVEL or (before * after < 0 and abs(before) > ON_LEVEL):
+            place = there if abs(after) < ON_LEVEL else _between(system, here, there, (3, w))
             found.append(place)
             crossings.append((i, place))
     if system.kind != PointKind.breakdown:

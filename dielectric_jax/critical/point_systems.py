@@ -34,19 +34,6 @@ __all__ = [
     "linearised",
 ]
 
-PointKind.load, PointKind.breakdown, PointKind.fold, PointKind.volume, PointKind.pressure = (
-    "level",
-    "breakdown",
-    "fold",
-    "volume",
-    "pressure",
-)
-PointKind.pressure_fold, PointKind.onset, PointKind.cusp, PointKind.pressure_cusp = (
-    "pressure_fold",
-    "onset",
-    "cusp",
-    "pressure_cusp",
-)
 #: the order of the derivatives of r and V in the equations of a kind
 _ORDER = {
     PointKind.fold: 1,

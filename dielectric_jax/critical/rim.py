@@ -34,7 +34,7 @@ class AbstractRim(eqx.Module):
 class ShotRim(AbstractRim):
     """By shooting with `steps` steps: r = λ2(1) − λ0."""
 
-    steps: typing.Any = 48.0
+    steps: typing.Any
 
     def rim(self, membrane, u):
         end = shoot(membrane.material, u[0], u[1], u[2], steps=self.steps)
@@ -51,7 +51,7 @@ class SurfaceRim(AbstractRim):
     """By a surface: r = p − p(λa, q). Its derivatives with respect to the membrane are those of the shot."""
 
     surface: Surface
-    steps: typing.Any = 48.0
+    steps: typing.Any
 
     def rim(self, membrane, u):
         own = membrane.material, membrane.prestretch

@@ -26,30 +26,17 @@ from ..diagram import (
     voltage_volume,
 )
 from ..model import SCALE, ConstantVoltage, Outcome, PointKind, Scene, State, locking_stretch
-from ..numerics import Code, SceneError, Steps, advance, begin, cached_jit
+from ..numerics import Code, SceneError, advance, begin, cached_jit
 from ..surface import Surface
 from .host_scenes import Scenes
 from .point_systems import Conditions, correction
+from .resolution import CLIMB_GRIDS, CLIMB_STEPS, HIDDEN_FOLDS, MANY, STEPS, TOLERANCE
 from .rim import ShotRim, jets
 
 __all__ = ["EVENTS", "first_folds", "first_folds_on_surface", "ramp_events"]
 
 #: the events that a search returns, each as λa, p, q, V, error, code
 EVENTS = ("start", "snap", "landing", "breakdown", "snap_back", "landing_back", "rest")
-_TOLERANCE = 1e-9
-_STEPS = Steps(
-    first=0.05,
-    largest=0.6,
-    smallest=2e-5,
-    most_turn=0.35,
-    most_correction=0.2,
-    tolerance=1e-4,
-    most_residual=0.1,
-    cubic=True,
-)
-_GRIDS = (7.0, 24.0, 48.0)  # of the continuation, tried in this order; folds are located on finer ones
-_MANY = 8  # scenes from which on a batch is faster
-_HIDDEN = 0.02  # relative to the larger slope of q: an interval on which q rises more slowly may hide a pair of folds
 
 
 @cached_jit
@@ -58,7 +45,7 @@ def _climb_program(membrane, condition, limits, seed, grid: TraceGrid):
 
     The last number is the smallest rate at which q rose on any earlier interval, from the slopes at its ends.
     """
-    problem = branch_problem(membrane.material, membrane.prestretch, condition, limits, grid, _STEPS)
+    problem = branch_problem(membrane.material, membrane.prestretch, condition, limits, grid, CLIMB_STEPS)
     walk = begin(problem, seed, jnp.array([0.0, 0.0, 1.0]))
     shares = jnp.linspace(0.0, 1.0, 9)[1:-1]
 
@@ -108,7 +95,7 @@ def _on_finer_grid(membrane, condition, u, volume, way, slope: float):
 
     `slope` is d(dq)/ds along the unit tangent `way`, in scaled unknowns.
     """
-    (_, slopes), _ = jets(ShotRim(np.asarray(48.0)), membrane, u, 0, ())
+    (_, slopes), _ = jets(ShotRim(np.asarray(STEPS[0])), membrane, u, 0, ())
     slopes = np.array(slopes)
     by_p, by_v, by_q = (float(v) for v in condition.slopes(volume))
     rows = np.stack([slopes[0] + [1.0, 0.0, 0.0], by_v * slopes[1] + [0.0, by_p, by_q]]) * SCALE
@@ -137,39 +124,44 @@ def _first_fold(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     locks = np.array([locking_stretch(scene.membrane)])
     membrane = stacked([scene.membrane])
     nothing = stacked([ConstantVoltage(0.0).condition()])
-    start = starts([scene], SceneBatch(membrane, nothing, locks, alone=True), _TOLERANCE)
+    start = starts([scene], SceneBatch(membrane, nothing, locks, alone=True), TOLERANCE)
     if not start.ok[0]:
-        return _by_diagram(scene, "snap")
+        return _by_diagram(scene)
     at = _point(start.u[0], start.volume[0], start.error[0])
     if start.index[0] != 0:
         return at, _no(Code.start_unstable)
     condition = condition_of(scene, start.u[0, 1], start.volume[0])
     scene_batch = SceneBatch(membrane, stacked([condition]), locks, alone=True)
-    limits, lengths = _box(scene), np.array([2e-5, 0.6, 0.6])
-    for accuracy, top in zip(_GRIDS, ((0.7, 0.85), (0.82, 0.97), (2.0, 2.0)), strict=True):
+    limits, lengths = _box(scene), np.array([CLIMB_STEPS.smallest, CLIMB_STEPS.largest, CLIMB_STEPS.largest])
+    for accuracy, top in CLIMB_GRIDS:
         grid = TraceGrid(accuracy, np.array(top), lengths)
         climbed = _climb_program(scene.membrane, condition, limits, start.u[0], grid)
         before, after, passed, code, least = jax.tree.map(np.asarray, climbed)
-        if passed and least > _HIDDEN:
+        if passed and least > HIDDEN_FOLDS:
             place, tangent, slope = _turn(before, after)
             found = scene_batch.correct_folds(
-                np.zeros(1, int), (place * SCALE)[None], tangent[None], np.array([slope]), tolerance=1e-9, reach=0.3
+                np.zeros(1, int),
+                (place * SCALE)[None],
+                tangent[None],
+                np.array([slope]),
+                tolerance=TOLERANCE,
+                reach=0.3,
             )
             if found.ok[0]:
                 u, volume = _on_finer_grid(scene.membrane, condition, found.u[0], found.volume[0], tangent, slope)
                 return at, _point(u, volume, found.error[0])
-        if least <= _HIDDEN:
+        if least <= HIDDEN_FOLDS:
             break
         if Code(int(code)) in (Code.window_stretch, Code.window_load, Code.lock_up):
             return at, _no(Code.no_fold)
-    return _by_diagram(scene, "snap")
+    return _by_diagram(scene)
 
 
 def first_folds(scenes: Scenes) -> dict[str, np.ndarray]:
     """Starts and first folds of the ramp up, also past breakdown, of many scenes: arrays (scenes, 6)."""
     table = {name: np.tile(_no(Code.not_converged), (len(scenes), 1)) for name in ("start", "snap")}
     todo = range(len(scenes))
-    if len(scenes) >= _MANY:
+    if len(scenes) >= MANY:
         events = ramp_events(scenes, None, alone=False)
         for name in table:
             table[name][:] = events[name]
@@ -197,7 +189,7 @@ def _of_state(state: State) -> np.ndarray:
 
 def _diagram_events(scene: Scene, surface: Surface | None) -> dict[str, np.ndarray]:
     """The events of one scene from its diagram."""
-    diagram = voltage_volume(scene, surface=surface, tolerance=_TOLERANCE)
+    diagram = voltage_volume(scene, surface=surface, tolerance=TOLERANCE)
     if float(diagram.branches[0].pressure.max()) == 0:
         raise SceneError(Code.flat_film)
     up, down = diagram._up, diagram._down
@@ -250,9 +242,10 @@ def _rising(branch, at) -> float:
     return 1.0 if q[j] > q[max(j - 2, 0)] else -1.0
 
 
-def _by_diagram(scene: Scene, name: str, surface: Surface | None = None):
-    table = _diagram_events(scene, surface)
-    return table["start"], table[name]
+def _by_diagram(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """The start of one scene and its first fold, by its diagram."""
+    table = _diagram_events(scene, None)
+    return table["start"], table["snap"]
 
 
 _COLUMNS = {"start": None, "snap": 0, "landing": 0, "breakdown": None, "snap_back": 0, "landing_back": 0, "rest": None}
@@ -299,7 +292,7 @@ def _settled_fold(scene: Scene, start: np.ndarray, fold: np.ndarray) -> np.ndarr
     """A fold whose load is already accurate, moved to its exact state."""
     condition = condition_of(scene, float(start[1]), float(start[3]))
     theta = Conditions(scene.membrane, condition, np.asarray(0.0))
-    engine = ShotRim(np.asarray(48.0))
+    engine = ShotRim(np.asarray(STEPS[0]))
     _, move, _ = correction(PointKind.fold, engine, fold[:3], theta)
     move = np.asarray(move)
     if not np.abs(move / SCALE).max() < 1e-3:  # its grid is too coarse for this state

@@ -20,12 +20,11 @@ from ..diagram import hermite, pressure_volume, voltage_volume
 from ..model import SCALE, Chamber, ConstantPressure, ConstantVoltage, PointKind, Scene, pair, plain
 from ..numerics import SceneError
 from ..plot import plot_fold_curves
-from .fold_continuation import LARGEST_LOAD, ConditionsOver, Followed, Lost, Place, System, follow
+from .fold_continuation import ConditionsOver, Followed, Lost, Place, System, follow
+from .resolution import DRAWN, LARGEST_LOAD, SAME_POINT
 
 __all__ = ["FoldCurve", "FoldCurves", "TwoParameterPoint", "fold_curves"]
 
-_CLOSE = 1e-5  # distance of a crossing from the fold of a diagram, in scaled unknowns
-_DRAWN = 8  # points of a line between two of a curve
 _QUANTITIES = ("parameter", "apex_stretch", "pressure", "voltage", "volume", "breakdown_ratio", "error_estimate")
 
 
@@ -213,7 +212,7 @@ def _followed(system: System, shares, seeds: list, largest_ratio: float) -> tupl
             if end in ("step_too_small", "too_many_points"):
                 doubts.append((place.z, f" curve ends: {end}."))
         for j, place in [(i, start), *found.crossings]:
-            near = [m for m, (k, other) in enumerate(seeds) if k == j and np.abs(other - place.z).max() < _CLOSE]
+            near = [m for m, (k, other) in enumerate(seeds) if k == j and np.abs(other - place.z).max() < SAME_POINT]
             for m in near:
                 met[m] = True
             inside = place.ratio < 0.999 * largest_ratio and place.fraction < 0.999 * LARGEST_LOAD
@@ -268,7 +267,7 @@ def _line(system: System, places: list[Place], ratio: np.ndarray) -> np.ndarray:
         if length == 0:
             continue
         t0, t1 = (t[i] * (-1.0 if t[i] @ chord < 0 else 1.0) for i in (k, k + 1))
-        for share in np.linspace(0.0, 1.0, _DRAWN, endpoint=False):
+        for share in np.linspace(0.0, 1.0, DRAWN, endpoint=False):
             at = hermite(z[k], z[k + 1], t0, t1, length, share)
             pieces.append([*at, ratio[k] + share * (ratio[k + 1] - ratio[k])])
     pieces.append([*z[-1], ratio[-1]])

@@ -16,18 +16,13 @@ from ..diagram import Diagram, voltage_volume
 from ..model import Outcome, Regime, Scene, describe, place_of, plain
 from ..numerics import check_whole
 from ..surface import Surface, SurfaceFamily
-from .constrained_search import NEAR, Climb, Wishes, axis_of, inwards, scan_designs
-from .design_points import Kind, begin_of
+from .constrained_search import Axis, Climb, Kind, Wishes, axis_of, begin_of, inwards, scan_designs
 from .designs import classify_designs, surface_for
 from .regime_maps import even
+from .resolution import ACTIVE, INWARD, MOST_SOUGHT, SEEDS, STRAIN_SCAN
 from .scenarios import scenarios_of
 
 __all__ = ["Design", "maximise_area_strain"]
-
-_MOST_SOUGHT = 6  # parameters, each of which the scan samples at 7 values
-_SCAN = {1: (256,), 2: (24, 24), 3: (12, 12, 12)}
-_SEEDS = 5
-_INWARD = 1e-7  # fraction of the range by which the check steps back from the boundaries
 
 
 @dataclasses.dataclass(frozen=True)
@@ -114,8 +109,8 @@ def maximise_area_strain(
     """
     if not over:
         raise ValueError("`over` must name at least one parameter, but is empty.")
-    if len(over) > _MOST_SOUGHT:
-        raise ValueError(f"`over` must name at most {_MOST_SOUGHT} parameters, but names {len(over)}.")
+    if len(over) > MOST_SOUGHT:
+        raise ValueError(f"`over` must name at most {MOST_SOUGHT} parameters, but names {len(over)}.")
     check_whole("compare", compare, 0, 10_000_000)
     wishes = Wishes(survival_margin, operating_margin, must_snap, way_down)
     axes = [axis_of(name, limits, scene) for name, limits in over.items()]
@@ -125,11 +120,7 @@ def maximise_area_strain(
             raise ValueError(f"`{name}` must be held, because every value of it needs its own surface.")
     scenes = scenarios_of(scene, axes, uncertain or {}, quantile, surface, operating_margin)
     share = 0.0 if quantile is None else quantile
-    counts = _SCAN.get(len(axes), (7,) * len(axes)) if len(scenes) == 1 else (max(5, 40 // len(axes) ** 2),) * len(axes)
-    values = np.stack(
-        [g.ravel() for g in np.meshgrid(*(even(a.name, (a.low, a.high), n) for a, n in zip(axes, counts, strict=True)), indexing="ij")],
-        axis=1,
-    )  # fmt: skip
+    counts, values = _scan_of(axes, len(scenes))
     strain, nominal = scan_designs(scenes, names, values, wishes, share)
     best, evaluations = None, 0
     for number in _seeds(strain, nominal, counts):
@@ -160,6 +151,17 @@ def maximise_area_strain(
     return _answer(scene, best, evaluations, compare, check, share)
 
 
+def _scan_of(axes: list[Axis], scenarios: int) -> tuple[tuple[int, ...], np.ndarray]:
+    """How many designs the scan that begins a climb takes along each axis, and those designs (n, parameters)."""
+    count = len(axes)
+    if scenarios == 1:
+        counts = STRAIN_SCAN.get(count, (7,) * count)
+    else:
+        counts = (max(5, 40 // count**2),) * count
+    ticks = [even(a.name, (a.low, a.high), n) for a, n in zip(axes, counts, strict=True)]
+    return counts, np.stack([g.ravel() for g in np.meshgrid(*ticks, indexing="ij")], axis=1)
+
+
 def _held(scenes, names, x, wishes, share) -> np.ndarray:
     """Which scenarios must satisfy the constraints: all but the worst fraction at a design."""
     if share == 0:
@@ -184,7 +186,7 @@ def _seeds(strain: np.ndarray, nominal, counts) -> list[int]:
             own = np.isfinite(strain) & (ramps.snaps == snaps) & (nominal.regime == int(regime))
             for part in _parts(own, counts):
                 best.append((-strain[part].max(), int(part[np.argmax(strain[part])])))
-    chosen = [k for _, k in sorted(best)[:_SEEDS]]
+    chosen = [k for _, k in sorted(best)[:SEEDS]]
     # thin regions between the designs of the scan
     landed = np.where(survives, np.nan_to_num(ramps.landing_ratio, nan=0.0).max(axis=-1), np.inf)
     excess = np.where(np.isfinite(strain), np.inf, landed)
@@ -203,7 +205,7 @@ def _parts(mask: np.ndarray, counts) -> typing.Iterator[np.ndarray]:
 
 def _is_true(climb: Climb, z: np.ndarray, names: tuple) -> bool:
     """Whether the ramps of the design have the structure that was optimised, according to an independent search."""
-    moved = np.clip(z + 10 * _INWARD * inwards(climb, z), 0.0, 1.0)
+    moved = np.clip(z + 10 * INWARD * inwards(climb, z), 0.0, 1.0)
     if climb.rows(moved) is None:
         return False
     for j in np.flatnonzero(climb.held):
@@ -258,7 +260,7 @@ def _answer(scene: Scene, best, evaluations: int, compare: int, check: bool, sha
     slack: dict = {}
     for name, value, _ in entries:
         slack[name] = min(float(value), slack.get(name, np.inf))
-    active = [(n, s) for n, v, s in entries if abs(v) <= NEAR * (1 + (abs(v) if n.endswith("er") else 0))]
+    active = [(n, s) for n, v, s in entries if abs(v) <= ACTIVE * (1 + (abs(v) if n.endswith("er") else 0))]
     multipliers: dict = {}
     if active:
         # of the area strain: its gradient is balanced by those of the active constraints
@@ -266,7 +268,7 @@ def _answer(scene: Scene, best, evaluations: int, compare: int, check: bool, sha
         found = scipy.optimize.nnls(np.array([s for _, s in active]).T, target)[0]
         for (name, _), value in zip(active, found, strict=True):
             multipliers[name] = multipliers.get(name, 0.0) + float(value)
-    moved = np.clip(z + _INWARD * inwards(climb, z), 0.0, 1.0)
+    moved = np.clip(z + INWARD * inwards(climb, z), 0.0, 1.0)
     near = dict(zip(climb.names, climb.place(moved)[0].tolist(), strict=True))
     regime = classify_designs(scene, {n: [v] for n, v in near.items()}, surface=climb.scenes[0].given).regime[0]
     diagram = None

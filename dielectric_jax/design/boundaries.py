@@ -13,13 +13,16 @@ denotes the derivative by λa at fixed q. Between two designs a and b, with para
 The last lies beyond the surface's domain: its state at λ2 is computed by shooting.
 """
 
+import dataclasses
+
 import numpy as np
 
 from ..diagram import landings_on, loading_arrays
 from ..model import SCANNED_LOAD, SNAPPING, Regime, Scene
 from ..surface import Surface
-from .conditions import FarStates, solve_on_surface
+from .conditions import FarStates, System, solve_on_surface
 from .designs import Designs, designs_of
+from .resolution import FAR_STEPS, LANES
 
 __all__ = [
     "FOLD_BREAKS",
@@ -44,8 +47,6 @@ START, MERGING, FOLD_BREAKS, LANDING_BREAKS, REST, LANDING_LOST = (
     "snap-back at zero voltage",
     "landing leaves the window",
 )
-_LANES = 64
-_FAR_STEPS = 160.0, 320.0  # of the shots beyond the surface; their difference is the error of the coarser one
 
 
 def kind_between(one: Regime, other: Regime) -> str | None:
@@ -173,22 +174,21 @@ def located(
     todo = np.flatnonzero(np.isfinite(guess).all(axis=1))
     if len(todo):
         equations, points = _EQUATIONS[kind]
+        system = System(equations, points, surface, scene, names, lanes=LANES)
         unknowns, off = guess[todo], np.zeros((len(todo), 1))
         ends = begin[todo], end[todo]
         halfway = np.full((len(todo), 1), 0.5)
         if kind == LANDING_LOST:
             first, unknowns = unknowns[:, 4], unknowns[:, :4]
-            for steps in _FAR_STEPS:
+            for steps in FAR_STEPS:
                 far = FarStates(surface.membrane, first, steps)
                 at = np.append(unknowns, halfway, axis=1)
-                found = solve_on_surface(
-                    equations, points, surface, scene, names, at, *ends, lanes=_LANES, last_move=1e-9, far=far
-                )
+                found = solve_on_surface(dataclasses.replace(system, far=far), at, *ends, last_move=1e-9)
                 unknowns, first = found.unknowns[:, :-1], far.pressure
                 off, halfway = np.abs(found.unknowns[:, -1:] - halfway), found.unknowns[:, -1:]
         else:
             at = np.append(unknowns, halfway, axis=1)
-            found = solve_on_surface(equations, points, surface, scene, names, at, *ends, lanes=_LANES, last_move=1e-13)
+            found = solve_on_surface(system, at, *ends, last_move=1e-13)
         place = found.unknowns[:, -1]
         with np.errstate(invalid="ignore"):
             good = (found.size < 1e-8) & (np.abs(place - 0.5) <= 0.5 + 1e-6 + beyond[todo])

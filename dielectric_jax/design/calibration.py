@@ -13,9 +13,26 @@ from scipy.stats import t as student
 
 from ..model import ConstantBreakdown, Membrane, Units, VHBBreakdown
 from ..numerics import check_positive
-from .curve_model import LEAST_VOLUME, CurveModel
+from .curve_model import CurveModel
 from .material_constants import sought_constants
-from .measurements import BELOW_ZERO, runs_of
+from .measurements import runs_of
+from .resolution import (
+    BELOW_ZERO,
+    ENDLESS,
+    EXACT_FIT,
+    FELT,
+    HUBER,
+    INDEPENDENT,
+    LEAST_LARGEST,
+    LEAST_VOLUME,
+    MODULI,
+    MOST_FIT_STEPS,
+    MOST_LARGEST,
+    OPTIMAL,
+    ROUNDS_OF_SCALE,
+    VISIBLE_MISFIT,
+    WIDE,
+)
 
 __all__ = [
     "Calibration",
@@ -29,11 +46,6 @@ __all__ = [
 
 
 _LOSSES = ("linear", "huber", "soft_l1")
-_MOST_STEPS = 200
-_ROUNDS_OF_SCALE = 12
-_HUBER = 1.345  # 95 % as efficient as least squares for normal noise
-_MODULI = 1e2, 1e9  # Pa, shear moduli from gels to hard rubbers
-_LEAST_LARGEST, _MOST = 0.02, 1e5  # A³; at the lower limit the film is deflected by 1 % of its radius
 _MAD = 0.6744897501960817  # median absolute deviation of the standard normal distribution
 
 
@@ -141,12 +153,12 @@ def _minimum(curve: CurveModel, free: np.ndarray, pressure: np.ndarray, loss: st
         jac=lambda x: at(x)["jacobian"],  # pyright: ignore[reportArgumentType]
         bounds=(curve.lowest, np.inf),
         loss=loss,
-        f_scale=_HUBER if loss == "huber" else 1.0,
+        f_scale=HUBER if loss == "huber" else 1.0,
         x_scale="jac",
         ftol=1e-13,
         xtol=1e-11,
         gtol=1e-13,
-        max_nfev=_MOST_STEPS,
+        max_nfev=MOST_FIT_STEPS,
     )
     return found.x
 
@@ -260,7 +272,7 @@ def _fit(curve: CurveModel, pressure: np.ndarray, loss: str, noise: float | None
     free = _minimum(curve, free, pressure, "linear", scale)
     if curve.refine(curve.values_of(free)):
         free = _minimum(curve, free, pressure, "linear", scale)
-    for _ in range(_ROUNDS_OF_SCALE if loss != "linear" else 0):
+    for _ in range(ROUNDS_OF_SCALE if loss != "linear" else 0):
         if noise is None:  # a robust loss is scaled by its own residuals
             scale = max(float(np.median(np.abs(pressure - curve(free)[0]))) / _MAD, 1e-9 * largest)
         free, before = _minimum(curve, free, pressure, loss, scale), free
@@ -313,7 +325,7 @@ def _result(curve: CurveModel, fit: _Fit, level, volume, pressure, of_pressure: 
 def _psi(x, loss: str):
     """ψ = ρ' of a robust loss, and its derivative."""
     if loss == "huber":
-        return np.clip(x, -_HUBER, _HUBER), np.abs(x) < _HUBER
+        return np.clip(x, -HUBER, HUBER), np.abs(x) < HUBER
     return x / np.sqrt(1 + x**2), (1 + x**2) ** -1.5
 
 
@@ -351,7 +363,7 @@ def _doubtful(found: Calibration) -> list[str]:
     said = []
     if len(runs_of(found.volume)) > 1:
         said.append("The volume rises and falls: loading and unloading are fitted together; use only one of them.")
-    low, high = _MODULI
+    low, high = MODULI
     shear = found.parameters.get("shear_modulus", 0.5 * (low + high))
     if not low < shear < high:
         said.append(
@@ -395,22 +407,14 @@ def _usable(volume, pressure, units: Units | None) -> tuple[np.ndarray, np.ndarr
     cube = 1.0 if units is None else float(units.scale("volume"))
     unit = "" if units is None else f" of a film of radius {float(units.radius):.4g} m"
     share = volume / cube
-    if not _LEAST_LARGEST < share.max() < _MOST:
+    if not LEAST_LARGEST < share.max() < MOST_LARGEST:
         raise ValueError(
-            f"`volume` must be that of an inflated film, but the largest is {share.max():.3g} A³{unit}, where {_LEAST_LARGEST} to "
-            f"{_MOST:g} A³ are possible; check the unit of the volumes and the radius."
+            f"`volume` must be that of an inflated film, but the largest is {share.max():.3g} A³{unit}, where {LEAST_LARGEST} to "
+            f"{MOST_LARGEST:g} A³ are possible; check the unit of the volumes and the radius."
         )
     keep = share >= LEAST_VOLUME
     said = f"{np.sum(~keep)} points are left out whose volume is below {LEAST_VOLUME:g} A³, where the film is flat."
     return volume[keep], pressure[keep], [] if keep.all() else [said]
-
-
-_INDEPENDENT = 1e-7  # smallest singular value of the Jacobian with scaled columns, relative to the largest
-_FELT = 1e-9  # change of the pressures caused by a constant, relative to the pressures
-_OPTIMAL = 1e-3  # cosine between the residuals and the change that a constant can cause
-_EXACT = 1e-7  # residuals relative to the pressures: below it they are rounding errors
-_WIDE, _ENDLESS = 10.0, 1e6  # ratio of the ends of an interval from which it is reported, and refused
-_SEEN = 2e-3  # misfit relative to the range of pressures: below it there is no warning
 
 
 def _and(names: Sequence[str]) -> str:
@@ -423,7 +427,7 @@ def check_determined(start: Mapping[str, float], values: Mapping[str, float], ja
     `jacobian` (n, m) is that of the free parameters; `start` and `values` are the constants before and after the fit.
     """
     names, length = list(values), np.linalg.norm(jacobian, axis=0)
-    felt = length > _FELT * np.linalg.norm(pressure)
+    felt = length > FELT * np.linalg.norm(pressure)
     for name, good in zip(names, felt, strict=True):
         if not good:
             raise ValueError(
@@ -431,7 +435,7 @@ def check_determined(start: Mapping[str, float], values: Mapping[str, float], ja
                 f"(it started at {start[name]:.4g} and ended at {values[name]:.4g}); leave it out of `over`."
             )
     _, sizes, rows = np.linalg.svd(jacobian / length, full_matrices=False)
-    if len(names) > 1 and sizes[-1] < _INDEPENDENT * sizes[0]:
+    if len(names) > 1 and sizes[-1] < INDEPENDENT * sizes[0]:
         joined = [n for n, share in zip(names, np.abs(rows[-1]), strict=True) if share > 0.05]
         raise ValueError(
             f"`over` must name constants that the curve can separate, but {_and(joined)} can change together without changing "
@@ -444,12 +448,12 @@ def check_optimal(start: Mapping[str, float], values: Mapping[str, float], jacob
 
     `pull` (n,) are the derivatives of the loss by the residuals; `at_limit` (m,) says which parameters are at their lower limit.
     """
-    if np.abs(pull).max() < _EXACT * np.abs(pressure).max():
+    if np.abs(pull).max() < EXACT_FIT * np.abs(pressure).max():
         return
     slope = jacobian.T @ pull / (np.linalg.norm(jacobian, axis=0) * np.linalg.norm(pull))
     # a parameter at its lower limit may be pushed against it
     slope = np.where(at_limit & (slope < 0), 0.0, slope)
-    if np.abs(slope).max() < _OPTIMAL:
+    if np.abs(slope).max() < OPTIMAL:
         return
     moved = ", ".join(f"{n} {values[n]:.4g} (from {start[n]:.4g})" for n in values)
     raise ValueError(
@@ -465,13 +469,13 @@ def check_intervals(
     said = []
     for name, (low, high) in intervals.items():
         told = f"the {100 * level:g} % interval of {name}, {values[name]:.4g}, is {low:.3g} to {high:.3g}"
-        endless = not (np.isfinite(low) and np.isfinite(high)) or (low > 0 and high > _ENDLESS * low)
-        if endless or (low == 0 and values[name] > 0 and name != "prestretch" and high > _ENDLESS * values[name]):
+        endless = not (np.isfinite(low) and np.isfinite(high)) or (low > 0 and high > ENDLESS * low)
+        if endless or (low == 0 and values[name] > 0 and name != "prestretch" and high > ENDLESS * values[name]):
             raise ValueError(
                 f"`over` must name constants that the curve determines, but {told}; leave it out of `over`, or measure "
                 "larger volumes, where the film stiffens."
             )
-        if low > 0 and high > _WIDE * low:
+        if low > 0 and high > WIDE * low:
             said.append(f"The curve hardly determines {name}: {told}.")
     return said
 
@@ -497,7 +501,7 @@ def misfit_warnings(volume, pressure, fit, *, robust: bool, noise: float | None,
     expected = jumps if noise is None else noise
     # for pure noise the ratio of the two variances scatters by 1/√n
     allowed = 1 / np.sqrt(max(1 - 3 / np.sqrt(len(residual)), 0.05))
-    if not (misfit > allowed * expected and misfit > _SEEN * np.ptp(pressure)):
+    if not (misfit > allowed * expected and misfit > VISIBLE_MISFIT * np.ptp(pressure)):
         return []
     said = f"the misfit, {misfit:.3g}{unit}, is {misfit / expected:.3g} times the noise of the pressures, {expected:.3g}{unit}"
     offset = _offset(pressure, fit, misfit)

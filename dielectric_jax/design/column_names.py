@@ -5,6 +5,8 @@ import itertools
 import re
 import unicodedata
 
+from .resolution import LONGEST_HEAD
+
 __all__ = ["Head", "is_absolute", "names_text", "read_head", "unit_size"]
 
 _NAMES = {
@@ -70,7 +72,6 @@ _UNITS = {
 }
 for _quantity, _words in _in_words().items():
     _UNITS[_quantity] |= _words
-_LONGEST = 200  # letters of a heading; longer lines are prose
 _ENDINGS = ("(g)", "(a)", "g", "a", "gauge", "gage", "absolute", "abs", "rel")
 # for this package's own dimensionless numbers
 _NONE = {"volume": ("-", "1", "a3"), "pressure": ("-", "1", "μh/a", "uh/a")}
@@ -167,7 +168,7 @@ def read_head(text: str) -> list[Head]:
     ([], [])
     """
     found = []
-    if len(text) > _LONGEST:
+    if len(text) > LONGEST_HEAD:
         return found
     text = unicodedata.normalize("NFC", text.strip().lstrip("#%").strip().strip("\"'").strip())
     for quantity, names in _NAMES.items():

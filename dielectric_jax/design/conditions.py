@@ -6,6 +6,7 @@ polynomials of third order at each of their points, so that one compiled program
 derivatives of equations up to that order are exact.
 """
 
+import dataclasses
 import functools
 import typing
 from collections.abc import Callable
@@ -26,11 +27,9 @@ from ..model import (
 )
 from ..numerics import cached_jit
 from ..surface import ById, Surface, SurfaceFamily, rows_of
+from .resolution import BLOCKS_OF_POINTS, FAR_ITERATIONS, FAR_SETTLED, ITERATIONS
 
-__all__ = ["FarStates", "Solved", "SurfaceConditions", "solve_on_surface"]
-
-
-_TRIES, _SETTLED = 12, 1e-8  # Newton's last relative step in p; the remaining error is its square
+__all__ = ["FarStates", "Solved", "SurfaceConditions", "System", "solve_on_surface"]
 
 
 class FarStates:
@@ -56,7 +55,7 @@ class FarStates:
         )
         todo = np.flatnonzero(np.isfinite(places).all(axis=1) & (p > 0))
         p[np.setdiff1d(np.arange(len(p)), todo)] = np.nan
-        for _ in range(_TRIES):
+        for _ in range(FAR_ITERATIONS):
             if not len(todo):
                 break
             u = np.stack([apex[todo], p[todo], load[todo]])
@@ -70,17 +69,13 @@ class FarStates:
                 move = np.clip(move, -0.5 * u[1], u[1])
             p[todo] += move
             volume[todo] += of_volume[1, todo] * move
-            todo = todo[~(np.abs(move) <= _SETTLED * p[todo])]
+            todo = todo[~(np.abs(move) <= FAR_SETTLED * p[todo])]
         p[todo] = np.nan
         self.pressure = np.where(np.isfinite(p), p, self.pressure)
         with np.errstate(all="ignore"):
             slope = -of_stretch[[0, 2]] / of_stretch[1]
             slopes = np.stack([slope, of_volume[[0, 2]] + of_volume[1] * slope])
         return np.stack([p, np.where(np.isfinite(p), volume, np.nan)], axis=1), np.moveaxis(slopes, -1, 0)
-
-
-_POINTS = (8, 32)  # points of one call: few, and many
-_ITERATIONS = 14
 
 
 class SurfaceConditions:
@@ -169,7 +164,7 @@ def _jets_in_family(family: SurfaceFamily, places):
 def _jets(surface: Surface | SurfaceFamily, places: np.ndarray) -> list[np.ndarray]:
     flat = places.reshape(-1, places.shape[-1])
     parts = []
-    size = _POINTS[len(flat) > _POINTS[0]]
+    size = BLOCKS_OF_POINTS[len(flat) > BLOCKS_OF_POINTS[0]]
     for i in range(0, len(flat), size):
         own = flat[i : i + size]
         lanes = np.pad(own, ((0, size - len(own)), (0, 0)), mode="edge")
@@ -183,31 +178,89 @@ def _jets(surface: Surface | SurfaceFamily, places: np.ndarray) -> list[np.ndarr
 
 @functools.cache
 def _program(equations: Callable, names: tuple, segment: bool) -> Callable:
-    """`_linearised` of some equations, as a compiled program."""
+    """Equations and measures (n, …) of designs, and their Jacobians by (u, θ), as a program.
 
-    def linearised(*args):
-        return _linearised(equations, names, segment, *args)
+    Its arguments are the scene and, for every design, the jets of the sheet at its points, those points, the parameters at
+    the two ends of its segment, and its unknowns. Without a `segment` both ends are the design itself.
+    """
+
+    def linearised(scene, jets, places, begin, end, u):
+        def one(jets, places, begin, end, u):
+            def both(x):
+                u, values = x[: len(x) - len(begin)], x[len(x) - len(begin) :]
+                if segment:
+                    values = values + u[-1] * (end - begin)
+                design = scene.replace(**dict(zip(names, values, strict=True)))
+                rows, measured = equations(SurfaceConditions(jets, places, design, u[0]), u)
+                value = jnp.concatenate([jnp.stack(rows), jnp.stack(measured) if measured else jnp.zeros(0)])
+                return value, value
+
+            jacobian, value = jax.jacfwd(both, has_aux=True)(jnp.concatenate([u, begin]))
+            return value, jacobian
+
+        return jax.vmap(one)(jets, places, begin, end, u)
 
     return cached_jit(linearised)
 
 
-def _linearised(equations, names, segment, scene, jets, places, begin, end, u):
-    """Equations and measures (n, …) of designs, and their derivatives by (u, θ)."""
+@dataclasses.dataclass(frozen=True)
+class System:
+    """Equations for the unknowns u of designs, and the sheet of states that they read.
 
-    def one(jets, places, begin, end, u):
-        def both(x):
-            u, values = x[: len(x) - len(begin)], x[len(x) - len(begin) :]
-            if segment:
-                values = values + u[-1] * (end - begin)
-            design = scene.replace(**dict(zip(names, values, strict=True)))
-            rows, measured = equations(SurfaceConditions(jets, places, design, u[0]), u)
-            value = jnp.concatenate([jnp.stack(rows), jnp.stack(measured) if measured else jnp.zeros(0)])
-            return value, value
+    `equations(conditions, u)` gives the rows that vanish and further measures; `points` says where they read the sheet: pairs
+    (unknown that is λa, unknown that is q or −1 for q = 0). A design θ is the `scene` with the parameters `names` at its
+    values. Whole blocks of `lanes` designs share one compiled program. `far` reads the last of the points where it is given,
+    to first order: equations may take its state, no slopes.
+    """
 
-        jacobian, value = jax.jacfwd(both, has_aux=True)(jnp.concatenate([u, begin]))
-        return value, jacobian
+    equations: Callable
+    points: tuple
+    surface: Surface | SurfaceFamily
+    scene: Scene
+    names: tuple
+    lanes: int = 1
+    far: FarStates | None = None
 
-    return jax.vmap(one)(jets, places, begin, end, u)
+    def places(self, u: np.ndarray, theta: np.ndarray) -> np.ndarray:
+        """The points of designs θ on the sheet: (λa, q), on a family (λa, q, λ0); an array (n, points, 2 or 3)."""
+        apex = np.stack([u[:, a] for a, _ in self.points], axis=1)
+        load = np.stack([u[:, q] if q >= 0 else np.zeros(len(u)) for _, q in self.points], axis=1)
+        columns = [apex, load]
+        if isinstance(self.surface, SurfaceFamily):
+            rim = (
+                theta[:, self.names.index("prestretch")]
+                if "prestretch" in self.names
+                else np.full(len(u), float(self.scene.membrane.prestretch))
+            )
+            columns.append(np.broadcast_to(rim[:, None], apex.shape))
+        return np.stack(columns, axis=-1)
+
+    def jets(self, places: np.ndarray) -> list[np.ndarray]:
+        """The Taylor coefficients of (p, V) at places (n, points, …), by order; those of a far point beyond the first are 0."""
+        if self.far is None:
+            return _jets(self.surface, places)
+        jets = _jets(self.surface, places[:, :-1])
+        value, slopes = self.far.linear(places[:, -1, :2])
+        rest = [np.pad(slopes, ((0, 0), (0, 0), (0, places.shape[-1] - 2)))]
+        rest += [np.zeros((len(places), *t.shape[2:])) for t in jets[2:]]
+        return [np.concatenate([t, v[:, None]], axis=1) for t, v in zip(jets, [value, *rest], strict=True)]
+
+    def linearised(self, u: np.ndarray, begin: np.ndarray, end: np.ndarray | None) -> list[np.ndarray]:
+        """Equations and measures (n, …) of designs, and their Jacobians by (u, θ).
+
+        With `end` the last unknown s is the place between two designs, θ = begin + s (end − begin).
+        """
+        theta = begin if end is None else begin + u[:, -1:] * (end - begin)
+        places = self.places(u, theta)
+        jets = self.jets(places)
+        program = _program(self.equations, self.names, end is not None)
+        end = begin if end is None else end
+        parts = []
+        for i in range(0, len(u), self.lanes):
+            own = np.minimum(np.arange(i, i + self.lanes), len(u) - 1)
+            found = program(self.scene, [t[own] for t in jets], places[own], begin[own], end[own], u[own])
+            parts.append([np.asarray(v)[: len(u) - i] for v in found])
+        return [np.concatenate(v) for v in zip(*parts, strict=True)]
 
 
 class Solved(typing.NamedTuple):
@@ -221,37 +274,23 @@ class Solved(typing.NamedTuple):
 
 
 def solve_on_surface(
-    equations: Callable,
-    points: tuple,
-    surface: Surface | SurfaceFamily,
-    scene: Scene,
-    names: tuple,
-    guess: np.ndarray,
-    begin: np.ndarray,
-    end: np.ndarray | None = None,
-    *,
-    lanes: int = 1,
-    last_move: float = 1e-8,
-    far: FarStates | None = None,
+    system: System, guess: np.ndarray, begin: np.ndarray, end: np.ndarray | None = None, *, last_move: float = 1e-8
 ) -> Solved:
-    """Solves `equations(conditions, u) = rows, measures` for designs θ (n, parameters) by Newton's method.
+    """Solves a system for designs θ (n, parameters) by Newton's method from guesses of the unknowns.
 
-    `points` says where they evaluate the surface: pairs (unknown that is λa, unknown that is q, or −1 for q = 0). With `end`
-    the last unknown s is the position between two designs, θ = begin + s (end − begin). Designs are solved in blocks of `lanes`,
-    which share one compiled program. `far`, if given, evaluates the last of the points, to first order: equations may use its
-    state, but no slopes. Newton stops when its steps are below `last_move`; the remaining error is of the order of their
-    square. The result is NaN where Newton leaves the surface.
+    With `end` the last unknown s is the position between two designs, θ = begin + s (end − begin). Newton stops when its steps
+    are below `last_move`; the remaining error is of the order of their square. The result is NaN where Newton leaves the
+    surface.
     """
-    segment = end is not None
     u, count = np.array(guess, float), len(guess)
     scale = np.maximum(np.abs(u), 1e-3)
-    if segment:
+    if end is not None:
         scale[:, -1] = 1.0
     size = np.full(count, np.inf)
     value = jacobian = np.empty(0)
     unknowns = u.shape[1]
-    for _ in range(_ITERATIONS):
-        value, jacobian = _evaluated(equations, points, surface, scene, names, u, begin, end, lanes, far)
+    for _ in range(ITERATIONS):
+        value, jacobian = system.linearised(u, begin, end)
         matrix = jacobian[:, :unknowns, :unknowns] * scale[:, None, :]
         move, good = _solved(matrix, -value[:, :unknowns, None])
         move = np.where(good[:, None], move[..., 0], np.nan)
@@ -261,7 +300,7 @@ def solve_on_surface(
         u = u + move * scale
         if not np.any(size > last_move):
             break
-    value, jacobian = _evaluated(equations, points, surface, scene, names, u, begin, end, lanes, far)
+    value, jacobian = system.linearised(u, begin, end)
     by_u, by_theta = jacobian[..., :unknowns], jacobian[..., unknowns:]
     rate, good = _solved(by_u[:, :unknowns] * scale[:, None, :], -by_theta[:, :unknowns])
     rates = rate * scale[:, :, None]
@@ -278,33 +317,3 @@ def _solved(matrix, right) -> tuple[np.ndarray, np.ndarray]:
         good &= np.abs(np.linalg.det(np.where(good[:, None, None], matrix, np.eye(matrix.shape[1])))) > 1e-14
     matrix = np.where(good[:, None, None], matrix, np.eye(matrix.shape[1]))
     return np.linalg.solve(matrix, np.where(good[:, None, None], right, 0.0)), good
-
-
-def _evaluated(equations, points, surface, scene, names, u, begin, end, lanes, far):
-    theta = begin if end is None else begin + u[:, -1:] * (end - begin)
-    apex = np.stack([u[:, a] for a, _ in points], axis=1)
-    load = np.stack([u[:, q] if q >= 0 else np.zeros(len(u)) for _, q in points], axis=1)
-    columns = [apex, load]
-    if isinstance(surface, SurfaceFamily):
-        rim = (
-            theta[:, names.index("prestretch")]
-            if "prestretch" in names
-            else np.full(len(u), float(scene.membrane.prestretch))
-        )
-        columns.append(np.broadcast_to(rim[:, None], apex.shape))
-    places = np.stack(columns, axis=-1)
-    near = places if far is None else places[:, :-1]
-    jets = _jets(surface, near)
-    if far is not None:
-        value, slopes = far.linear(places[:, -1, :2])
-        rest = [np.pad(slopes, ((0, 0), (0, 0), (0, places.shape[-1] - 2)))]
-        rest += [np.zeros((len(u), *t.shape[2:])) for t in jets[2:]]
-        jets = [np.concatenate([t, v[:, None]], axis=1) for t, v in zip(jets, [value, *rest], strict=True)]
-    end = begin if end is None else end
-    parts = []
-    for i in range(0, len(u), lanes):
-        own = np.minimum(np.arange(i, i + lanes), len(u) - 1)
-        args = [t[own] for t in jets], places[own], begin[own], end[own], u[own]
-        found = _program(equations, names, end is not begin)(scene, *args)
-        parts.append([np.asarray(v)[: len(u) - i] for v in found])
-    return [np.concatenate(v) for v in zip(*parts, strict=True)]

@@ -1,25 +1,130 @@
-"""The constrained search for a best design by SciPy's SLSQP, with exact values and gradients for every scenario."""
+"""The constrained search for a best design by SciPy's SLSQP: objective and constraints with exact values and gradients.
+
+Both are measures of the events of a ramp on the surface, functions of the design by the implicit function theorem. The
+unknowns of a ramp with n snaps: the start λs, for each snap its fold (λ1, q1) and landing λ2, breakdown λb, and where the way down matters the fold (λf, qf) from which the snap-back starts. They solve F(u; θ) = 0, so that du/dθ = −F_u⁻¹ F_θ.
+"""
 
 import dataclasses
+import functools
 import typing
 
+import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
 
+from ..diagram import Ramps
 from ..model import Outcome, Regime, Scene
 from ..numerics import check_between
-from .design_points import Kind, measure
+from .conditions import System, solve_on_surface
 from .designs import classify_designs
 from .regime_maps import check_range, even
+from .resolution import ACTIVE, AT_END, LOST_STRAIN, NEARLY_ACTIVE, TANGENT_REACH
 from .scenarios import Scenario
 
-__all__ = ["NEAR", "Axis", "Climb", "Wishes", "axis_of", "inwards", "scan_designs"]
+__all__ = [
+    "Axis",
+    "Climb",
+    "Kind",
+    "Measures",
+    "Wishes",
+    "axis_of",
+    "begin_of",
+    "inwards",
+    "measure",
+    "scan_designs",
+]
 
-NEAR = 1e-6  # a constraint this close to its limit counts as active
-_FAILED = 1e2
-_FAR = 0.2  # relative change of the unknowns up to which tangents are followed
-_AT_END = 1e-9  # fraction of a range: values closer to an end are at the end
-_CLOSE = 1e-5  # constraints this close to their limit are finally satisfied exactly
+
+class Kind(typing.NamedTuple):
+    """The shape of a ramp: how many snaps, and whether its way down has a fold that matters."""
+
+    snaps: int
+    back: bool
+
+
+class Measures(typing.NamedTuple):
+    """What an optimisation needs of designs: numbers (n,) and their derivatives (n, parameters), in pairs.
+
+    `growth` is 2 log(λb/λs); `start` the slope c′ at the start, positive where it is stable; for each snap `fold`, log (E/E_EB)²
+    at it, `landing`, the same where it lands, `sharpness`, −c″ at it, zero where it merges with another; `back` the q of the
+    snap-back. `rates` are the derivatives of the `unknowns`.
+    """
+
+    names: tuple
+    values: np.ndarray
+    slopes: np.ndarray
+    unknowns: np.ndarray
+    rates: np.ndarray
+    fair: np.ndarray
+
+
+def measures_of(kind: Kind) -> tuple:
+    """The names of the measures of ramps of a kind."""
+    names = ["growth", "start"]
+    for k in range(kind.snaps):
+        names += [f"fold_{k}", f"landing_{k}", f"sharpness_{k}"]
+    return (*names, "back") if kind.back else tuple(names)
+
+
+def begin_of(kind: Kind, ramps: Ramps, which: np.ndarray) -> np.ndarray:
+    """The unknowns (n, …) from ramps; NaN where a ramp is of another kind."""
+    columns = [ramps.start.apex_stretch[which]]
+    for k in range(kind.snaps):
+        snap = ramps.snap
+        columns += [snap.apex_stretch[which, k], snap.voltage_squared[which, k], ramps.landing.apex_stretch[which, k]]
+    broken = ramps.breakdown.apex_stretch[which]
+    last = ramps.landing.apex_stretch[which, kind.snaps - 1] if kind.snaps else broken
+    columns.append(np.where(np.isfinite(broken), broken, last))
+    columns.append(np.nan_to_num(ramps.breakdown.voltage_squared[which], nan=0.01))
+    if kind.back:
+        # the last minimum of q below the landing, also where q is negative there
+        folds, loads = ramps.folds.apex_stretch[which], ramps.folds.voltage_squared[which]
+        below = np.where(folds < columns[3 * kind.snaps][:, None], folds, -np.inf)
+        place = np.argmax(below, axis=1)
+        rows = np.arange(len(place))
+        columns += [np.where(np.isfinite(below[rows, place]), folds[rows, place], np.nan)]
+        columns += [loads[rows, place]]
+    return np.stack(columns, axis=1)
+
+
+def _points(kind: Kind) -> tuple:
+    """The points of the surface that the equations use."""
+    points: list = [(0, -1)]
+    for k in range(kind.snaps):
+        points += [(1 + 3 * k, 2 + 3 * k), (3 + 3 * k, 2 + 3 * k)]
+    end = 1 + 3 * kind.snaps
+    points.append((end, end + 1))
+    return (*points, (end + 2, end + 3)) if kind.back else tuple(points)
+
+
+def _equations(kind: Kind, on, u):
+    end = 1 + 3 * kind.snaps
+    rows = [on.filled]
+    measured = [2 * jnp.log(u[end] / u[0]), on.slope(0, u[0], 0.0)]
+    for k in range(kind.snaps):
+        fold, q, landing = u[1 + 3 * k], u[2 + 3 * k], u[3 + 3 * k]
+        rows += [on.excess(1 + 2 * k, fold, q), on.slope(1 + 2 * k, fold, q), on.excess(2 + 2 * k, landing, q)]
+        measured += [on.field(fold, q), on.field(landing, q), -on.bend(1 + 2 * k, fold, q)]
+    last = 1 + 2 * kind.snaps
+    rows += [on.excess(last, u[end], u[end + 1]), on.field(u[end], u[end + 1])]
+    if kind.back:
+        rows += [on.excess(last + 1, u[end + 2], u[end + 3]), on.slope(last + 1, u[end + 2], u[end + 3])]
+        measured.append(u[end + 3])
+    return rows, measured
+
+
+_EQUATIONS = {
+    Kind(snaps, back): functools.partial(_equations, Kind(snaps, back)) for snaps in (0, 1, 2) for back in (False, True)
+}
+
+
+def measure(kind: Kind, names: tuple, surface, scene: Scene, theta, guess) -> Measures:
+    """Measures of designs θ (n, parameters) from guesses of their unknowns (n, …); `fair` says where Newton converged."""
+    theta, guess = np.atleast_2d(theta), np.atleast_2d(guess)
+    found = solve_on_surface(System(_EQUATIONS[kind], _points(kind), surface, scene, names), guess, theta)
+    with np.errstate(invalid="ignore"):
+        fair = (found.size < 1e-8) & np.isfinite(found.slopes).all(axis=(1, 2))
+    return Measures(measures_of(kind), found.measures, found.slopes, found.unknowns, found.rates, fair)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -155,7 +260,7 @@ class Climb:
         guesses = []
         for m, scenario in zip(found, self.scenes, strict=True):
             here, move = m.unknowns[0], m.rates[0] @ (step * scenario.factors)
-            guesses.append(here + move * bool((np.abs(move) < _FAR * np.abs(here)).all()))
+            guesses.append(here + move * bool((np.abs(move) < TANGENT_REACH * np.abs(here)).all()))
         return guesses
 
     def unknowns(self, z) -> list[np.ndarray]:
@@ -204,13 +309,13 @@ class Climb:
             if many:
                 return -v[-1], np.append(np.zeros(count), -1.0)
             rows = self.rows(v)
-            return (_FAILED, np.zeros(count)) if rows is None else (-rows[0][0], -rows[1][0])
+            return (LOST_STRAIN, np.zeros(count)) if rows is None else (-rows[0][0], -rows[1][0])
 
         def constraints(v):
             rows = self.rows(v[:count])
             if rows is None:
                 size = width + len(held) * many
-                return np.full(size, -_FAILED), np.zeros((size, len(v)))
+                return np.full(size, -LOST_STRAIN), np.zeros((size, len(v)))
             growth, by_z, limits = rows
             own = [(value, slope) for _, j, value, slope in limits if self.held[j]]
             g, dg = np.array([o[0] for o in own]), np.array([o[1] for o in own])
@@ -243,12 +348,12 @@ class Climb:
 
     def _polished(self, z: np.ndarray, reached: float) -> tuple:
         """The design moved by Newton onto its nearly active constraints, if it stays close and feasible."""
-        place = np.where(z < _AT_END, 0.0, np.where(z > 1 - _AT_END, 1.0, z))
+        place = np.where(z < AT_END, 0.0, np.where(z > 1 - AT_END, 1.0, z))
         for _ in range(3):
             rows = self.rows(place)
             if rows is None:
                 return z, reached
-            near = [(v, s) for _, j, v, s in rows[2] if self.held[j] and abs(v) < _CLOSE]
+            near = [(v, s) for _, j, v, s in rows[2] if self.held[j] and abs(v) < NEARLY_ACTIVE]
             free = (place > 0) & (place < 1)
             if not near:
                 break
@@ -267,7 +372,9 @@ class Climb:
 def inwards(climb: Climb, z: np.ndarray) -> np.ndarray:
     """A step away from every active constraint, including bounds."""
     rows = climb.rows(z)
-    active = [s / (np.linalg.norm(s) + 1e-300) for _, j, v, s in rows[2] if climb.held[j] and v < NEAR] if rows else []
+    active = (
+        [s / (np.linalg.norm(s) + 1e-300) for _, j, v, s in rows[2] if climb.held[j] and v < ACTIVE] if rows else []
+    )
     normals = [*active, *(np.eye(len(z))[z <= 0]), *(-np.eye(len(z))[z >= 1])]
     if not normals:
         return np.zeros(len(z))

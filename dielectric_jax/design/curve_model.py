@@ -15,21 +15,9 @@ from scipy.interpolate import make_interp_spline
 
 from ..model import Membrane, explicit_map
 from .material_constants import as_arrays, check_membrane, constants_of, value_of, with_constants
+from .resolution import ACCURATE, FARTHEST_START, FLATTEST, MODEL_SIZES, MODEL_STEPS, NODES, ROUNDS
 
-__all__ = ["LEAST_VOLUME", "CurveModel"]
-
-_NODES, _ROUNDS = 64, 15
-_STEPS = (
-    24.0,
-    48.0,
-    96.0,
-    192.0,
-)  # of the explicit map; the first suffices except far beyond the peak of unlimited materials
-_ACCURATE = 1e-6  # relative, of volumes and pressures
-_FLATTEST = 1e-8  # λa − λ0 below which the explicit map loses its digits
-LEAST_VOLUME = 5e-4  # the volume there, in A³; no gauge could measure the pressures below it
-_SIZES = (32, 64, 128, 256)  # numbers of volumes for which programs are compiled; more points are interpolated
-_FARTHEST = 2.0**14  # largest factor by which a starting value is raised
+__all__ = ["CurveModel"]
 
 
 def _logs(above, material, prestretch, q, steps):
@@ -41,7 +29,7 @@ def _logs(above, material, prestretch, q, steps):
 @eqx.filter_jit
 def _table(membrane, q, top, steps):
     """log(λa − λ0) of nodes, and log V and log p there (2, nodes); NaN beyond the material's limits."""
-    nodes = jnp.linspace(jnp.log(_FLATTEST), jnp.log(top), _NODES)
+    nodes = jnp.linspace(jnp.log(FLATTEST), jnp.log(top), NODES)
     apex = membrane.prestretch + jnp.exp(nodes)
     logs = _logs(nodes, membrane.material, membrane.prestretch, q, steps)
     return nodes, jnp.where(membrane.material.admissible(apex, apex), logs, jnp.nan)
@@ -62,7 +50,7 @@ def _pressures(material, prestretch, volume, q, near, steps):
         return above + move, slope, k + 1, jnp.max(jnp.abs(move))
 
     def going(state):
-        return (state[2] < _ROUNDS) & ~(state[3] < 1e-7)
+        return (state[2] < ROUNDS) & ~(state[3] < 1e-7)
 
     begin = near, jnp.ones((2, *near.shape)), 0, jnp.asarray(jnp.inf)
     above, slope, *_ = jax.lax.stop_gradient(jax.lax.while_loop(going, newton, begin))
@@ -115,13 +103,13 @@ class CurveModel:
         self.lowest = np.array([self._lowest(n, log) for n, log in zip(names, self.logs, strict=True)])
         self._q_scale, self._largest = q_scale, float(volume.max())
         self._x = np.log(volume)
-        size = next((s for s in _SIZES if len(volume) <= s), None)
+        size = next((s for s in MODEL_SIZES if len(volume) <= s), None)
         if size is not None:
             self._nodes = np.concatenate([self._x, np.full(size - len(volume), self._x[-1])])
         else:
-            self._nodes = np.linspace(self._x.min(), self._x.max(), _SIZES[-1])
+            self._nodes = np.linspace(self._x.min(), self._x.max(), MODEL_SIZES[-1])
         self._interpolates = size is None
-        self._near, self._steps = np.zeros(0), _STEPS[0]
+        self._near, self._steps = np.zeros(0), MODEL_STEPS[0]
 
     def _start_of(self, name: str, shear: float) -> float:
         if name == "shear_modulus":
@@ -191,11 +179,11 @@ class CurveModel:
     def refine(self, values: dict) -> bool:
         """Sets the number of steps that these constants need; true if it is larger than before."""
         before = self._steps
-        for self._steps in _STEPS[_STEPS.index(before) :]:
+        for self._steps in MODEL_STEPS[MODEL_STEPS.index(before) :]:
             once, twice = (self._states(values, n * self._steps)[1] for n in (1, 2))
             used = ~(once[0] > np.log(self._largest) + 0.2)
             change = np.abs(once - twice)[:, used]
-            if not np.nanmax(change, initial=0.0) > _ACCURATE:
+            if not np.nanmax(change, initial=0.0) > ACCURATE:
                 break
         return self._steps > before
 
@@ -209,7 +197,7 @@ class CurveModel:
         if reached > self._largest:
             return dict(self.start)
         factor = 2.0
-        while factor <= _FARTHEST:
+        while factor <= FARTHEST_START:
             for name, log in zip(self.names, self.logs, strict=True):
                 values = self.start | {name: factor * self.start[name]}
                 if log and self._allows({n: v for n, v in values.items() if n != "shear_modulus"}):

@@ -17,6 +17,7 @@ from ..diagram import MembraneKey, Ramps, chamber_ramps, continue_scenes, loadin
 from ..model import Chamber, Change, ConstantPressure, Membrane, Regime, Scene, change_of, field_on
 from ..numerics import SceneError
 from ..surface import ById, Surface, SurfaceFamily
+from .resolution import MOST_BUILT, MOST_SECTIONS, TYPICAL_STRETCH
 
 __all__ = [
     "Designs",
@@ -27,8 +28,6 @@ __all__ = [
     "surface_for",
     "surface_over",
 ]
-
-_TYPICAL = 5.0  # stretch at which breakdown laws are compared
 
 
 class Designs(typing.NamedTuple):
@@ -73,7 +72,7 @@ def surface_over(scene: Scene, over: dict, given: typing.Any) -> Surface | Surfa
     # the breakdown law determines the extent of the surface: use the strongest of the corners
     corners = [dict(zip(over, values, strict=True)) for values in itertools.product(*over.values())]
     films = [scene.replace(**corner).membrane for corner in corners]
-    return _built(MembraneKey.of(max(films, key=lambda film: float(field_on(film.breakdown, _TYPICAL)))))
+    return _built(MembraneKey.of(max(films, key=lambda film: float(field_on(film.breakdown, TYPICAL_STRETCH)))))
 
 
 def surface_for(membrane: Membrane, given: typing.Any) -> Surface:
@@ -95,17 +94,17 @@ def surface_for(membrane: Membrane, given: typing.Any) -> Surface:
     return _with_law(ById(found), MembraneKey.of(membrane))
 
 
-@functools.lru_cache(maxsize=64)  # 2 MB each
+@functools.lru_cache(maxsize=MOST_SECTIONS)
 def _section(family: ById, key: MembraneKey) -> Surface:
     return family.value.surface(float(key.membrane.prestretch))
 
 
-@functools.lru_cache(maxsize=32)
+@functools.lru_cache(maxsize=MOST_BUILT)
 def _built(key: MembraneKey) -> Surface:
     return Surface.build(key.membrane)
 
 
-@functools.lru_cache(maxsize=64)
+@functools.lru_cache(maxsize=MOST_SECTIONS)
 def _with_law(surface: ById, key: MembraneKey) -> Surface:
     """The same surface with another breakdown law."""
     return dataclasses.replace(surface.value, membrane=key.membrane)

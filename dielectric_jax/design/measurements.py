@@ -7,17 +7,14 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from .resolution import BELOW_ZERO, NOISE_OF_VOLUME, SHORTEST_RUN, TURN
 from .text_tables import NUMBER, QUANTITIES, Line, Table, bare, full, split, table_of
 
-__all__ = ["BELOW_ZERO", "BRANCHES", "Measurement", "read_measurement", "runs_of"]
+__all__ = ["BRANCHES", "Measurement", "read_measurement", "runs_of"]
 
 BRANCHES = ("loading", "unloading", "all")
 
 _MISSING = {"", "-", "--", "?", "na", "n/a", "nan", "null", "none", "nil", "#n/a", "#value!", "#div/0!", "missing", "."}
-_TURN = 0.1  # fraction of the largest volume: smaller reversals are noise of the volume
-_SHORTEST_RUN = 4  # least average number of points in a run if the points are in order of time
-BELOW_ZERO = 0.25  # fraction of the largest pressure: pressures down to minus that are noise
-_ZERO = 0.01  # fraction of the largest volume: volumes down to minus that are noise about the flat membrane
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,7 +68,7 @@ def read_measurement(
             raise ValueError(f"`{name}` must be two, of volume and of pressure, but are {list(given)!r}.")
     lines, table, notices = table_of(path, columns, column_units)
     cells = _cells(path, lines[table.first :], table)
-    values, where, left = _numbers(path, cells, table)
+    values, where, left = _numbers(path, cells)
     notices += left
     volume, pressure = values * np.array([h.size or 1.0 for h in table.heads])[:, None]
     in_si = bool(table.heads[0].size)
@@ -156,7 +153,7 @@ def _value(cell: str, sign: str) -> float | None:
     return float(f"{whole.replace(other, '')}.{rest or '0'}e{found[2] or '0'}")
 
 
-def _numbers(path, rows, table: Table) -> tuple[np.ndarray, np.ndarray, list[str]]:
+def _numbers(path, rows) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Numbers (2, n), their lines, and notices about the lines left out."""
     cells, where = rows
     sign = _decimal_sign(path, cells, where)
@@ -201,7 +198,7 @@ def _positive(path, volume, pressure, where) -> tuple[np.ndarray, list[str]]:
     """Which points have a volume above zero; volumes far below zero are refused."""
     if not len(volume):
         raise ValueError(f"`data` must hold points, but {path} has no line with a volume and a pressure.")
-    least = -_ZERO * volume.max()
+    least = -NOISE_OF_VOLUME * volume.max()
     wrong = np.flatnonzero(volume < least) if volume.max() > 0 else np.array([0])
     if wrong.size:
         raise ValueError(
@@ -227,7 +224,7 @@ def runs_of(volume: np.ndarray) -> list[tuple[int, int, bool]]:
     [(0, 5, True), (5, 10, False)]
     """
     begin = peak = sign = 0  # the run's first point, its extremum so far, and 1 if it rises, −1 if it falls
-    step, runs = _TURN * float(np.max(volume, initial=0.0)), []
+    step, runs = TURN * float(np.max(volume, initial=0.0)), []
     for i, v in enumerate(volume):
         if sign == 0:
             if abs(v - volume[0]) > step:
@@ -238,7 +235,7 @@ def runs_of(volume: np.ndarray) -> list[tuple[int, int, bool]]:
             runs.append((begin, peak + 1, sign > 0))
             begin, peak, sign = peak + 1, i, -sign
     runs.append((begin, len(volume), sign >= 0))
-    return runs if len(volume) >= _SHORTEST_RUN * len(runs) else [(0, len(volume), True)]
+    return runs if len(volume) >= SHORTEST_RUN * len(runs) else [(0, len(volume), True)]
 
 
 def _on_branch(volume: np.ndarray, where: np.ndarray, branch: str | None) -> tuple[np.ndarray, list[str]]:

@@ -11,12 +11,9 @@ import scipy.optimize
 from ..model import Scene
 from .constrained_search import axis_of
 from .regime_maps import even
+from .resolution import ACTIVE, AT_END, LOST_OBJECTIVE, OBJECTIVE_SCAN, STARTS
 
 __all__ = ["Optimum", "maximise"]
-
-_STARTS = 4
-_SCAN = {1: 64, 2: 12, 3: 6}
-_FAILED = 1e3  # penalty, times the size of the best objective
 
 
 class Optimum(typing.NamedTuple):
@@ -59,7 +56,7 @@ def _climb(both: Callable, low: np.ndarray, high: np.ndarray, start: np.ndarray,
         method="SLSQP",
         bounds=[(0.0, 1.0)] * len(low),
         constraints=[own] if limits else [],
-        options={"ftol": 1e-13 * size / _FAILED, "maxiter": 80},
+        options={"ftol": 1e-13 * size / LOST_OBJECTIVE, "maxiter": 80},
     )
     return seen
 
@@ -90,7 +87,7 @@ def maximise(
         return jnp.stack([jnp.asarray(f(own), float) for f in (objective, *(f for _, f in limits))])
 
     both = jax.jit(lambda x: (all_of(x), jax.jacrev(all_of)(x)))
-    count = _SCAN.get(len(axes), 4)
+    count = OBJECTIVE_SCAN.get(len(axes), 4)
     ticks = [even(a.name, (a.low, a.high), count) for a in axes]
     grid = np.stack([g.ravel() for g in np.meshgrid(*ticks, indexing="ij")], axis=1)
     values = np.asarray(jax.vmap(all_of)(grid))
@@ -99,11 +96,11 @@ def maximise(
         raise ValueError(
             "`objective` must be a number somewhere in these ranges, but is NaN at every design of the scan."
         )
-    size = _FAILED * np.abs(values[known, 0]).max() + 1.0
+    size = LOST_OBJECTIVE * np.abs(values[known, 0]).max() + 1.0
     # infeasible designs come after all feasible ones
     order = np.lexsort((-values[:, 0], -np.minimum(values[:, 1:].min(axis=1, initial=0.0), 0.0)))
     best: tuple | None = None
-    for start in grid[[k for k in order if known[k]][:_STARTS]]:
+    for start in grid[[k for k in order if known[k]][:STARTS]]:
         seen = _climb(both, low, high, start, len(limits), size)
         for key, found in seen.items():
             if found is None or found[0][1:].min(initial=0.0) <= -1e-9:
@@ -113,8 +110,8 @@ def maximise(
     if best is None:
         raise ValueError("`constraints` must be satisfied by some design in these ranges, but none was found.")
     z, value = best
-    active = [name for (name, _), v in zip(limits, value[1:], strict=True) if abs(v) < 1e-6]
-    active += [f"{a.name}_lower" for a, v in zip(axes, z, strict=True) if v < 1e-9]
-    active += [f"{a.name}_upper" for a, v in zip(axes, z, strict=True) if v > 1 - 1e-9]
+    active = [name for (name, _), v in zip(limits, value[1:], strict=True) if abs(v) < ACTIVE]
+    active += [f"{a.name}_lower" for a, v in zip(axes, z, strict=True) if v < AT_END]
+    active += [f"{a.name}_upper" for a, v in zip(axes, z, strict=True) if v > 1 - AT_END]
     parameters = dict(zip(names, (low + z * (high - low)).tolist(), strict=True))
     return Optimum(parameters, float(value[0]), tuple(active), scene.replace(**parameters))

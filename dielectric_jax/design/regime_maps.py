@@ -24,6 +24,19 @@ from .designs import (
     surface_for,
     surface_over,
 )
+from .resolution import (
+    BISECTIONS,
+    COARSE,
+    EVEN_IN_LOG,
+    FEW_BISECTIONS,
+    ISLAND,
+    MANY_EDGES,
+    MAP_PASSES,
+    MAP_POINTS,
+    MAP_POINTS_WITH_SURFACES,
+    MOST_POINTS,
+    VAGUE,
+)
 
 __all__ = ["Boundary", "RegimeEdge", "RegimeMap", "beside_change", "chains", "changes", "regime_edges", "regime_map"]
 
@@ -79,15 +92,6 @@ def chains(links: list) -> list[list[int]]:
                 chain.append(onward[0])
             chains.append(chain)
     return chains
-
-
-_COARSE = 8  # grid cells between designs that are classified first
-_BISECTIONS = 20
-_ISLAND = 6  # designs
-_VAGUE = 3.0  # cells
-_DECADES = 1.2  # a range wider than this many decades is spaced logarithmically
-_MOST_POINTS = 10_000  # along a parameter
-_POINTS, _SURFACE_POINTS = 400, 25
 
 
 class RegimeEdge(typing.NamedTuple):
@@ -165,7 +169,7 @@ class RegimeMap:
 def even(name: str, limits, count: int) -> np.ndarray:
     """Evenly spaced values of a parameter from its lower to its upper limit; logarithmic over wide ranges."""
     low, high = check_range(name, limits)
-    if low > 0 and np.log10(high / low) > _DECADES:
+    if low > 0 and np.log10(high / low) > EVEN_IN_LOG:
         values = np.geomspace(low, high, count)
     else:
         values = np.linspace(low, high, count)
@@ -237,7 +241,7 @@ def _edges(known: _Known, one: np.ndarray, other: np.ndarray):
         far = kind == LANDING_LOST  # located by shooting
         # a side that the surface did not decide may be slightly off
         vague = designs.ramps.outcome == Outcome.unresolved
-        beyond = np.where(vague[one[own]] | vague[other[own]] | far, _VAGUE, 0.0)
+        beyond = np.where(vague[one[own]] | vague[other[own]] | far, VAGUE, 0.0)
         keys = [tuple(begin[k, varying]) for k in own]
         for key in dict.fromkeys(keys):
             group = np.array([i for i, k in enumerate(keys) if k == key])
@@ -265,7 +269,7 @@ def _bisect(known: _Known, one, other, share, error) -> None:
         return
     below = known.regime[one[todo]]
     begin, end = known.values[one[todo]], known.values[other[todo]]
-    steps = _BISECTIONS if len(todo) <= 64 else 7
+    steps = BISECTIONS if len(todo) <= MANY_EDGES else FEW_BISECTIONS
     for _ in range(steps):
         middle = (low + high) / 2
         values = begin + middle[:, None] * (end - begin)
@@ -352,14 +356,14 @@ def regime_map(
     def ticks(name, count, stride):
         return np.unique([*range(0, count, 1 if change_of(name) is not Change.LOADING else stride), count - 1])
 
-    stride = _COARSE
+    stride = COARSE
     rows, columns = (ticks(n, c, stride) for n, c in zip(names[::-1], (len(y), len(x)), strict=True))
     classify(*(v.ravel() for v in np.meshgrid(rows, columns, indexing="ij")))
     whole = _filled(known, number, rows, columns)
     while stride > 1:
         stride //= 2
         rows, columns = (ticks(n, c, stride) for n, c in zip(names[::-1], (len(y), len(x)), strict=True))
-        for _ in range(12):  # continue into cells that turn out to contain a change
+        for _ in range(MAP_PASSES):  # continue into cells that turn out to contain a change
             near = beside_change(whole, stride)[np.ix_(rows, columns)]
             near &= number[np.ix_(rows, columns)] < 0
             if not near.any():
@@ -393,7 +397,7 @@ def _join_islands(known: _Known, number, whole) -> None:
         sizes = np.bincount(labels.ravel())
         for part in np.unique(labels[unsure & (whole == regime)]):
             own = labels == part
-            if sizes[part] <= _ISLAND and unsure[own].all():
+            if sizes[part] <= ISLAND and unsure[own].all():
                 about = whole[scipy.ndimage.binary_dilation(own) & ~own]
                 whole[own] = np.bincount(about).argmax()
                 known.regime[number[own]] = whole[own]
@@ -401,13 +405,13 @@ def _join_islands(known: _Known, number, whole) -> None:
 
 def _counts(names, points) -> tuple[int, int]:
     if points is None:
-        first, second = (_SURFACE_POINTS if change_of(n) is not Change.LOADING else _POINTS for n in names)
+        first, second = (MAP_POINTS_WITH_SURFACES if change_of(n) is not Change.LOADING else MAP_POINTS for n in names)
         return first, second
     counts = tuple(points) if isinstance(points, (tuple, list)) else (points, points)
     if len(counts) != 2:
         raise ValueError(f"`points` must be a whole number, or two of them, but is {shown(points)}.")
     for count in counts:
-        check_whole("points", count, 3, _MOST_POINTS)
+        check_whole("points", count, 3, MOST_POINTS)
     return int(counts[0]), int(counts[1])
 
 

@@ -11,11 +11,9 @@ from ..model import Scene, place_of
 from ..numerics import check_between
 from ..surface import Surface, SurfaceFamily
 from .designs import surface_for
+from .resolution import MOST_UNCERTAIN, SAMPLES
 
 __all__ = ["Scenario", "scenarios_of"]
-
-_SAMPLES = 32
-_MOST = 8  # uncertain parameters, whose corners are taken
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,8 +60,8 @@ def scenarios_of(
         check_between("quantile", quantile, 0.0, 0.9)
         if not uncertain:
             raise ValueError("`uncertain` must name a parameter if `quantile` is given, but names none.")
-    if len(uncertain) > _MOST:
-        raise ValueError(f"`uncertain` must name at most {_MOST} parameters, but names {len(uncertain)}.")
+    if len(uncertain) > MOST_UNCERTAIN:
+        raise ValueError(f"`uncertain` must name at most {MOST_UNCERTAIN} parameters, but names {len(uncertain)}.")
     surfaces: dict = {}
     made = []
     for factors in _factors(uncertain, quantile):
@@ -90,7 +88,7 @@ def _factors(uncertain: dict, quantile: float | None) -> list[dict]:
     if quantile is None:
         sides = np.array([(0,) * len(names), *itertools.product((-1, 1), repeat=len(names))], float)
     else:
-        sides = 2 * scipy.stats.qmc.Sobol(len(names), scramble=False).random(_SAMPLES) - 1
+        sides = 2 * scipy.stats.qmc.Sobol(len(names), scramble=False).random(SAMPLES) - 1
     return [dict(zip(names, 1 + side * shares, strict=True)) for side in sides]
 
 

@@ -11,14 +11,13 @@ import numpy as np
 
 from ..model import REGIME_COLOURS
 from ..plot import COLOURS
+from .resolution import TABLE_ROWS
 from .store import need
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __all__ = ["best_designs", "compare_sweeps", "count_sweep", "export_sweep", "plot_sweep", "select_regime"]
-
-_ROWS = 4096  # scenes of a table that are in memory at once
 
 
 def _variable(data, name: str):
@@ -221,7 +220,7 @@ def _write_table(data, path: pathlib.Path, curves: bool) -> None:
     shape = [data.sizes[d] for d in scenes]
     coordinates = [name for name in data.coords if set(data[name].dims) <= set(scenes)]
     names = [n for n in data.data_vars if curves or "curve_point" not in data[n].dims]
-    lead = max(1, _ROWS // max(1, int(np.prod(shape[1:]))))
+    lead = max(1, TABLE_ROWS // max(1, int(np.prod(shape[1:]))))
     with open(path, "w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         for begin in range(0, shape[0], lead):

@@ -10,10 +10,10 @@ import numpy as np
 
 from ..model import PARAMETERS, Scene, parameter_of, place_of
 from ..numerics import LARGEST, check_whole, shown
+from .resolution import MOST_VALUES
 
 __all__ = ["Axis", "Design", "read_scenes", "samples", "zipped"]
 
-MOST_VALUES = 10**7  # on an axis; all are held in memory, some of them for every scene at once
 _METHODS = ("sobol", "latin_hypercube", "random")
 
 

@@ -24,11 +24,10 @@ from ..diagram import (
 from ..model import PARAMETERS, Chamber, ConstantPressure, Membrane, Regime, Scene, place_of
 from ..numerics import SceneError, alone, enable_compilation_cache, enabled_folder
 from ..surface import Surface, SurfaceFamily
+from .resolution import BLOCK_OF_CONTINUATION, BLOCK_OF_SURFACE, BLOCK_WITH_MORE, BLOCKS, MOST_SURFACES
 from .variables import Answer, Source, answer_of_diagram, answers_of, empty_answer
 
 __all__ = ["Job", "compute_block", "surface_of"]
-
-_KEPT = 8  # surfaces that a process keeps in memory
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,7 +63,7 @@ def _remembered(key, make):
     with _lock:
         if key not in _surfaces:
             _surfaces[key] = make()
-            while len(_surfaces) > _KEPT:
+            while len(_surfaces) > MOST_SURFACES:
                 _surfaces.popitem(last=False)
         _surfaces.move_to_end(key)
         return _surfaces[key]
@@ -274,6 +273,8 @@ def block_size(job: Job, count: int) -> int:
 
     It depends on the sweep alone, so that two runs of one sweep have the same layout of their stores.
     """
-    slow = job.engine == "continuation"
-    least, most = (32, 128) if slow else (256, 1024 if job.curves or job.resolve else 8192)
-    return int(min(max(2 ** round(math.log2(max(count / 16, 1.0))), least), most))
+    if job.engine == "continuation":
+        least, most = BLOCK_OF_CONTINUATION
+    else:
+        least, most = BLOCK_WITH_MORE if job.curves or job.resolve else BLOCK_OF_SURFACE
+    return int(min(max(2 ** round(math.log2(max(count / BLOCKS, 1.0))), least), most))

@@ -25,7 +25,7 @@ from ..model import (
     place_of,
 )
 from ..numerics import LARGEST, check_whole, shown
-from .axes import MOST_VALUES
+from .resolution import MOST_VALUES
 
 __all__ = ["check_dimensionless", "number", "one_of", "read_toml", "refuse", "scene_of", "table", "values"]
 

@@ -16,11 +16,10 @@ from collections.abc import Callable, Iterator, Sequence
 
 from ..model import cores
 from ..numerics import WorkersLost, shown
+from .resolution import MOST_DEATHS
 from .store import need
 
 __all__ = ["Progress", "executor_of", "run_blocks"]
-
-_DEATHS = 3  # of worker processes in succession, without a finished block in between
 
 
 def _begin_worker(share: int) -> None:
@@ -161,7 +160,7 @@ def run_blocks(pool: _Processes | _Given, function: Callable, tasks: Sequence[tu
                     deaths = 0
             except concurrent.futures.BrokenExecutor:
                 deaths += 1
-                if deaths > _DEATHS:
+                if deaths > MOST_DEATHS:
                     raise WorkersLost(
                         f"Worker processes died {deaths} times without finishing a block between; what is finished is kept."
                     ) from None

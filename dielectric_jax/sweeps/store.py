@@ -19,12 +19,12 @@ import numpy as np
 from ..model import parameter_of
 from ..numerics import Locked, StoreError, alone
 from .axes import Design
+from .resolution import LONGEST_CHUNK
 from .variables import Variable, described
 
 __all__ = ["Memory", "ZarrStore", "need", "open_group"]
 
 _FORMAT = "dielectric_jax sweep 1"
-_PART = 1 << 20  # values of a coordinate in one chunk
 
 
 def need(module: str, extra: str = "io") -> typing.Any:
@@ -185,7 +185,7 @@ def _fill(zarr, path: pathlib.Path, design: Design, chunk, variables: list[Varia
     blocks = len(design.blocks(chunk))
     names = []
     for name, (dim, values, more) in coordinates_of(design).items():
-        size = min(len(values), _PART)
+        size = min(len(values), LONGEST_CHUNK)
         options = {"dimension_names": (dim,), "attributes": more}
         group.create_array(name, shape=values.shape, chunks=(size,), dtype=values.dtype, **options)[:] = values
         names += [name] if name != dim else []

@@ -23,14 +23,13 @@ from ..surface import check_tolerance, fingerprint
 from .axes import Axis, Design, axes_of
 from .blocks import Job, block_size, compute_block
 from .executors import Progress, executor_of, run_blocks
+from .resolution import FAMILY_FROM, MOST_BLOCKS
 from .store import Memory, ZarrStore, need, open_group
 from .variables import Answer, variables_of
 
 __all__ = ["open_sweep", "sweep"]
 
-_FAMILY_FROM = 9  # number of prestretches from which on the surfaces are taken from a family
 _PACKAGES = ("jax", "jaxlib", "diffrax", "equinox", "numpy", "scipy")
-_MOST_BLOCKS = 10**6  # a store keeps a file for every variable of each block
 _UNANSWERED = (Answer.unresolved, Answer.no_answer, Answer.invalid_scene, Answer.failed)
 
 
@@ -135,7 +134,7 @@ def _job(design: Design, engine: str, resolve: bool, curves: bool, tolerance: fl
         )
     stretches = [axis.columns["prestretch"] for axis in design.axes if "prestretch" in axis.columns]
     family = None
-    if engine == "surface" and stretches and len(np.unique(stretches[0])) >= _FAMILY_FROM:
+    if engine == "surface" and stretches and len(np.unique(stretches[0])) >= FAMILY_FROM:
         family = float(stretches[0].min()), float(stretches[0].max())
     folder = enabled_folder()
     return Job(design.scene, engine, resolve, curves, tolerance, family, None if folder is None else str(folder))
@@ -144,10 +143,10 @@ def _job(design: Design, engine: str, resolve: bool, curves: bool, tolerance: fl
 def _check_size(design: Design, chunk, variables, in_memory: bool) -> None:
     """Refuses a sweep with too many blocks or, in memory, with too many numbers."""
     blocks = math.prod(-(-size // own) for size, own in zip(design.shape, chunk, strict=True))
-    if blocks > _MOST_BLOCKS:
+    if blocks > MOST_BLOCKS:
         raise ValueError(
             f"`block` must be larger for {design.count} scenes, of which {blocks} blocks would be made; at most "
-            f"{_MOST_BLOCKS} can be."
+            f"{MOST_BLOCKS} can be."
         )
     needed = design.count * sum(np.dtype(v.dtype).itemsize * math.prod(v.dims.values()) for v in variables)
     if in_memory and needed > memory():

@@ -13,6 +13,7 @@ import numpy as np
 from ..diagram import ENDS, LISTED, SLOTS, Diagram, RampArrays, Ramps, Slot, ramps_of, regime_of_diagram
 from ..model import FoldAhead, Outcome, PointKind, Regime, State, field_on
 from ..numerics import Code
+from ..surface import ROWS
 
 __all__ = [
     "Answer",
@@ -21,8 +22,6 @@ __all__ = [
     "empty_answer",
     "variables_of",
 ]
-
-CURVE_POINTS = 256
 
 
 class Answer(enum.IntEnum):
@@ -142,7 +141,7 @@ def variables_of(curves: bool) -> list[Variable]:
                 number(f"{point}_{quantity}", dims, f"{long_name} of the state {words}", unit, f"{point}_error")
         number(f"{point}_error", dims, f"error of the state {words}", "1", description=_ERROR)
     if curves:
-        dims = {"curve_point": CURVE_POINTS}
+        dims = {"curve_point": ROWS}
         for quantity, (long_name, unit) in _QUANTITIES.items():
             own = ("voltage_squared", "squared voltage", "H^2 mu / epsilon") if quantity == "voltage" else None
             name, long_name, unit = own or (quantity, long_name, unit)

@@ -129,7 +129,7 @@ def test_a_fold_at_breakdown_lies_on_both_curves(over_volume):
 
 def test_the_error_of_a_point_covers_its_parameter_and_its_load(over_pressure, monkeypatch):
     """Against shots of 320 steps everywhere."""
-    monkeypatch.setattr(fold_continuation, "_GRIDS", ((240.0, 320.0),) * 3)
+    monkeypatch.setattr(fold_continuation, "GRIDS", ((240.0, 320.0),) * 3)
     scene, within = over_pressure.scene, (1.45, 1.47)
     exact = dj.fold_curves(scene, "pressure", within, kinds=("fold",), samples=2)
     assert [p.kind for p in exact.points] == ["merger"]

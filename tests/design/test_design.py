@@ -9,7 +9,7 @@ import pytest
 
 import dielectric_jax as dj
 from dielectric_jax.apps.cli import main
-from dielectric_jax.design.design_points import Kind, begin_of, measure
+from dielectric_jax.design.constrained_search import Kind, begin_of, measure
 
 DOCS = pathlib.Path(__file__).parents[2] / "docs"
 CHAMBERS = {"chamber_volume": (500.0, 25000.0)}

@@ -216,4 +216,4 @@ def test_a_missing_extra_is_named(monkeypatch):
     with pytest.raises(ImportError, match=r'pip install "dielectric-jax\[distributed\]"'):
         with executor_of("tcp://127.0.0.1:1"):
             pass
-    assert executors._DEATHS == 3
+    assert executors.MOST_DEATHS == 3
