@@ -10,7 +10,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..model import SCALE, UNKNOWNS, estimated_error, field_ratio_squared, index_of, integrate_membrane, largest_load
+from ..model import (
+    SCALE,
+    UNKNOWNS,
+    GridChange,
+    estimated_error,
+    field_ratio_squared,
+    index_of,
+    integrate_membrane,
+    largest_load,
+)
 from ..numerics import Code, Steps, Walk, advance, cached_jit
 from .tracing import branch_problem
 
@@ -154,8 +163,10 @@ def _settle(membrane, condition, kinds, grid, newton, residual, volume):
     left = (2 * coarse / fine) ** 8
     jacobian = jnp.moveaxis(matrix[:2] / _SCALE, -1, 0)
     relative = jnp.max(jnp.abs(step * _SCALE) / jnp.maximum(jnp.abs(u), 1e-3), axis=0)
-    change = left * residual[:2].T, left * jnp.abs(shift), condition.slopes(volume)[1], membrane.prestretch
-    error = estimated_error(u, volume, jacobian, sensitivities, *change, relative * contraction)
+    change, by_v = GridChange(left * residual[:2].T, left * jnp.abs(shift)), condition.slopes(volume)[1]
+    error = estimated_error(
+        u, volume, jacobian, sensitivities, change, by_v, membrane.prestretch, relative * contraction
+    )
     rate = jnp.sum(sensitivities[:, 1] * null * _SCALE, axis=0)
     fold, size = kinds == FOLD, jnp.linalg.norm(step, axis=0)
     along = jnp.abs(jnp.sum(move * null, axis=0)) * doubt + _OF_TANGENT * size / jnp.abs(slope)
