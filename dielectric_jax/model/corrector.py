@@ -258,7 +258,8 @@ class _Goal(typing.NamedTuple):
 
     def equation(self, which, u, volume, sensitivities):
         """Residual (lanes,) and gradient (lanes, 3) at states u (3, lanes) of the lanes `which`."""
-        rows, by_volume = self.rows[which], ~np.isfinite(self.rows[which]).all(axis=1)
+        rows = self.rows[which]
+        by_volume = ~np.all(np.isfinite(rows), axis=1)
         gradient = np.where(by_volume[:, None], sensitivities[:, 1].T, rows)
         value = np.where(by_volume, volume, np.einsum("ij,ji->i", np.nan_to_num(rows), u)) - self.targets[which]
         return value, gradient
@@ -314,7 +315,7 @@ class _Newton:
         """dV of moves (lanes, 3)."""
         return np.einsum("il,li->l", self.sensitivities[:, 1][:, which], move)
 
-    def _drift(self, which=slice(None)):
+    def _drift(self, which: typing.Any = slice(None)):
         """The distance from the start in scaled unknowns."""
         return np.linalg.norm((self.u[:, which] - self.start[:, which]).T / SCALE, axis=1)
 

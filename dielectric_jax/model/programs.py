@@ -22,7 +22,7 @@ CHUNK = 32  # lanes of one call; one compiled program serves every count of poin
 
 @cached_jit
 def jacobian_program(material, u, steps):
-    """lag, V, their columns by (λa, p, q), and the number of zeros of ∂λ2/∂λa in 0 < R < 1."""
+    """λ2(1) − λa, V, their columns by (λa, p, q), and the number of zeros of ∂λ2/∂λa in 0 < R < 1."""
     apex, p, q = u
     shot = integrate_membrane(material, apex, p, q, steps, sensitivities=UNKNOWNS, trail="sensitivity")
     times, sensitivity = shot.trail
@@ -69,7 +69,7 @@ _BLOCK = 32  # steps of a trail that are searched together; only as many blocks 
 
 @cached_jit
 def careful_program(membrane, u, exponent):
-    """lag, V, height and C = Q/Φ by adaptive steps."""
+    """λ2(1) − λa, V, height and C = Q/Φ by adaptive steps."""
     apex, p, q = u
     shot = integrate_membrane(membrane.material, apex, p, q, exponent, outputs=True, adaptive=True)
     return shot.stretch_change, shot.volume, shot.height, shot.charge
@@ -77,7 +77,7 @@ def careful_program(membrane, u, exponent):
 
 @cached_jit
 def value_program(membrane, u, steps):
-    """lag, V, height, C = Q/Φ, least σ2 and largest (E/E_EB)²/q along the membrane, stretches admissible, and elliptic."""
+    """λ2(1) − λa, V, height, C = Q/Φ, least σ2 and largest (E/E_EB)²/q along the membrane, stretches admissible, and elliptic."""
     apex, p, q = u
     material = membrane.material
     shot = integrate_membrane(material, apex, p, q, steps, outputs=True, trail="profile")

@@ -114,7 +114,7 @@ class Stability:
 def _survey_program(material, u, steps):
     """What stability needs of lanes u (3, lanes).
 
-    lag, V, C, columns (3, 3, lanes), zeros; R and σ2 after every step, padded with NaN; least σ1 and ∂s1/∂λ1.
+    λ2(1) − λa, V, C, columns (3, 3, lanes), zeros; R and σ2 after every step, padded with NaN; least σ1 and ∂s1/∂λ1.
     """
     apex, p, q = u
     shot = integrate_membrane(material, apex, p, q, steps, sensitivities=UNKNOWNS, outputs=True, trail="all")

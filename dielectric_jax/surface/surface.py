@@ -86,8 +86,8 @@ class Surface(eqx.Module):
     states; the last edges and elements are repeated to sizes that most surfaces share. Build one with `Surface.build`.
 
     Its numbers are differentiable to any order by λa, q and t, but they belong to one material. By a constant m of the
-    material the implicit rule at the shot tells them: at fixed (λa, q) the rim condition lag(λa, p, q; m) = λ0 − λa gives
-    dp/dm = −(∂lag/∂m)/(∂lag/∂p), and dV/dm = ∂V/∂m + (∂V/∂p) dp/dm, all four from `shoot`; or build surfaces anew.
+    material the implicit rule at the shot tells them: at fixed (λa, q) the rim condition l(λa, p, q; m) = λ0 − λa, l = λ2(1) − λa, gives
+    dp/dm = −(∂l/∂m)/(∂l/∂p), and dV/dm = ∂V/∂m + (∂V/∂p) dp/dm, all four from `shoot`; or build surfaces anew.
 
     >>> import jax
     >>> surface = Surface.build(Membrane(), tolerance=1e-9)

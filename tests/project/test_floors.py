@@ -103,8 +103,6 @@ LARGE = {
     "diagram/states.py:_starts",
     "diagram/tracing.py:_run_trace",
     "diagram/tracing.py:_trace_program",
-    "model/shooting.py:init",
-    "model/shooting.py:integrate_membrane",
     "numerics/continuation.py:advance",
 }
 
