@@ -103,7 +103,6 @@ LARGE = {
     "diagram/states.py:_starts",
     "diagram/tracing.py:_run_trace",
     "diagram/tracing.py:_trace_program",
-    "numerics/continuation.py:advance",
 }
 
 
