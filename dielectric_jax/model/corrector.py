@@ -26,28 +26,28 @@ from .programs import (
     run_chunks,
     value_program,
 )
-from .scene import SCANNED_LOAD
+from .resolution import (
+    ADAPTIVE,
+    CONE_LOAD,
+    CONTRACTION,
+    FEW_ULPS,
+    GRIDS,
+    HOPELESS,
+    LAYER_LOADS,
+    LAYER_STRETCH,
+    LEAST_ESTIMATE,
+    MOST_MOVE,
+    NEAR_FOLD,
+    NEWTON_TRIES,
+    REFINED,
+    ROUNDING,
+    SAFETY,
+    SCALE,
+    SCANNED_LOAD,
+)
 from .stability import control_rate, index_of
 
 __all__ = ["Points", "Shooting", "corrected_points", "load_fraction", "locking_stretch"]
-
-SCALE = np.array([1.0, 0.2, 0.02])  # of (λa, p, q)
-# steps: of Newton, then of the residual; where an inner layer forms (a high load near lock-up, or near the cone) Newton
-# needs more, and more again where the layer is thin
-GRIDS = ((16.0, 32.0, 64.0, 128.0), (24.0, 48.0, 96.0, 192.0, 320.0), (80.0, 160.0, 320.0))
-_REFINED = (48.0, 144.0, 240.0)  # steps of a refined tangent
-_NEAR_FOLD = (
-    1e-3  # component of the tangent along the control below which a tangent is refined: the index turns on its sign
-)
-CONTRACTION = (2e-4, 3e-3, 1e-3)  # of a chord step: the error of Newton's Jacobian, measured
-_TRIES = (9, 6, 9)  # of Newton
-_MOST_MOVE = 3e-9  # relative: height and charge are not moved along with the state
-ADAPTIVE = (10.0, 12.0, 13.0)  # exponents of the tolerance of the careful path
-_HOPELESS = 1e-3  # estimates of the finest grid beyond which the careful path is not tried
-SAFETY = 16.0
-LEAST_ESTIMATE = 1e-13
-_ROUNDING = 5e-15  # relative to λa − λ0, p and V; measured
-_FEW_ULPS = 2e-16  # relative to λa
 
 
 @dataclasses.dataclass
@@ -156,15 +156,15 @@ def estimated_error(u, volume, jacobian, sensitivities, change: GridChange, by_v
     (3, 2, lanes), and what rounding can do; `by_v` is the loading's slope in V, `chord` an error that is added.
     """
     xp = jnp if isinstance(volume, jax.Array) else np
-    rim_off = abs(change.residual[:, 0]) / SAFETY + _ROUNDING * abs(u[0] - rim) + _FEW_ULPS * abs(u[0])
-    condition_off = abs(change.residual[:, 1]) / SAFETY + _ROUNDING * (abs(u[1]) + abs(by_v * volume))
+    rim_off = abs(change.residual[:, 0]) / SAFETY + ROUNDING * abs(u[0] - rim) + FEW_ULPS * abs(u[0])
+    condition_off = abs(change.residual[:, 1]) / SAFETY + ROUNDING * (abs(u[1]) + abs(by_v * volume))
     of_rim, of_condition = abs(jacobian[:, 0]), abs(jacobian[:, 1])
     with np.errstate(all="ignore"):
         determinant = abs(jacobian[:, 0, 1] * jacobian[:, 1, 2] - jacobian[:, 0, 2] * jacobian[:, 1, 1])
         of_p = (of_condition[:, 2] * rim_off + of_rim[:, 2] * condition_off) / determinant
         of_q = (of_condition[:, 1] * rim_off + of_rim[:, 1] * condition_off) / determinant
         of_volume = abs(sensitivities[1, 1]) * of_p + abs(sensitivities[2, 1]) * of_q
-        of_volume = of_volume + _ROUNDING * abs(volume) + change.volume / SAFETY
+        of_volume = of_volume + ROUNDING * abs(volume) + change.volume / SAFETY
         error = xp.stack([of_p, of_volume, of_q]) / xp.maximum(abs(xp.stack([u[1], volume, u[2]])), 1e-3)
         error = error.max(axis=0) + chord
     return xp.maximum(xp.where(xp.isnan(error), np.inf, error), LEAST_ESTIMATE)
@@ -172,16 +172,16 @@ def estimated_error(u, volume, jacobian, sensitivities, change: GridChange, by_v
 
 def locking_stretch(membrane: Membrane) -> float:
     """λa beyond which an inner layer forms at a high load."""
-    return 0.72 * membrane.lock_up_stretch()[0]
+    return LAYER_STRETCH * membrane.lock_up_stretch()[0]
 
 
 def difficulty(locks_from, apex_stretch: np.ndarray, load_fraction: np.ndarray) -> np.ndarray:
     """Which ladder of grids resolves the membrane, an index of `GRIDS` for each lane; see `locking_stretch`."""
     locking = apex_stretch > locks_from
     return (
-        (locking & (load_fraction > 0.7)).astype(int)
-        + (locking & (load_fraction > 0.86))
-        + 2 * (~locking & (load_fraction > 0.93))
+        (locking & (load_fraction > LAYER_LOADS[0])).astype(int)
+        + (locking & (load_fraction > LAYER_LOADS[1]))
+        + 2 * (~locking & (load_fraction > CONE_LOAD))
     )
 
 
@@ -334,7 +334,7 @@ class _Newton:
         """Newton with exact Jacobians on the coarsest grid; lanes that converge are `settled`."""
         active = np.arange(len(self.settled))
         size = np.full(len(active), np.inf)
-        for _ in range(_TRIES[self.level]):
+        for _ in range(NEWTON_TRIES[self.level]):
             if not len(active):
                 break
             residual, self.volume[active] = self._linearise(active, GRIDS[self.level][0])
@@ -368,7 +368,7 @@ class _Newton:
         """Deferred correction with adaptive steps of lanes that the finest grid has not resolved."""
         # within the scanned loads only: beyond them a branch ends where the estimate does
         scanned = load_fraction(self.membrane, self.u[:, active]) <= SCANNED_LOAD
-        active = active[scanned & (self.estimate[active] < _HOPELESS)]
+        active = active[scanned & (self.estimate[active] < HOPELESS)]
         for exponent in ADAPTIVE:
             if not len(active):
                 break
@@ -402,7 +402,7 @@ class _Newton:
             # what the next chord step would move is smaller by the error of the Jacobian
             moved = _relative(move, self.u[:, working])
             left = moved * CONTRACTION[self.level]
-            again = ~((moved <= _MOST_MOVE) & (left <= 0.01 * self.tolerance))
+            again = ~((moved <= MOST_MOVE) & (left <= 0.01 * self.tolerance))
             if round_ == 0 and not last:
                 self.change.residual[working], self.chord[working] = np.abs(residual[:, :2]), 0.0
                 self._estimate_errors(working)
@@ -432,11 +432,11 @@ class _Newton:
         """The linearisation anew on a finer grid, where asked for and near folds."""
         self._measure_charge(np.flatnonzero(self.settled), GRIDS[self.level][0])
         with np.errstate(invalid="ignore"):
-            refine = refine | (np.abs(self.points().control_slope(self.condition.control)) < _NEAR_FOLD)
+            refine = refine | (np.abs(self.points().control_slope(self.condition.control)) < NEAR_FOLD)
         which = np.flatnonzero(self.settled & refine)
         if len(which):
-            self._linearise(which, _REFINED[self.level])
-            self._measure_charge(which, _REFINED[self.level])
+            self._linearise(which, REFINED[self.level])
+            self._measure_charge(which, REFINED[self.level])
 
     def points(self) -> Points:
         """The lanes as they are."""

@@ -26,13 +26,10 @@ from jaxtyping import Array, Float
 from ..numerics import cached_jit, sine_cosine, softplus
 from .materials import AbstractMaterial, capacitance, is_concrete, stresses
 from .membrane import apex_series, slopes
+from .resolution import FEW_RATES, GRID_WIDTH, MOST_ADAPTIVE_STEPS, MOST_STEPS, SERIES_RADIUS
 
 __all__ = ["Rim", "Shot", "shoot"]
 
-_START = 4e-4  # R at which the apex series hands over, in units of A; the series' error is its fourth power
-_WIDTH = 0.12  # w above, measured: 32 steps of Dopri8 leave 8e-11 for t < 0.5, 48 leave 3e-12
-MOST_STEPS = 320
-_FEW = 6  # states that are written one by one
 UNKNOWNS = ("apex_stretch", "pressure", "voltage_squared")
 
 
@@ -75,7 +72,7 @@ def eighth_order_step(field: Callable, t, h, y):
 
     def stage(i, k):
         rates = field(t + nodes[i] * h, y + h * jnp.tensordot(matrix[i], k, 1))
-        if len(rates) > _FEW:
+        if len(rates) > FEW_RATES:
             return k.at[i].set(rates)
         for j, rate in enumerate(rates):  # XLA would compute them all in one loop without vectors
             k = k.at[i, j].set(rate)
@@ -101,7 +98,7 @@ def graded_map(scale, start):
     """x(τ) = A sinh(w softplus(s(τ))) from `start` at τ = 0 to 1 at τ = 1, and dx/dτ, with A = `scale`."""
 
     def inverse(x):
-        u = jnp.arcsinh(x / scale) / _WIDTH
+        u = jnp.arcsinh(x / scale) / GRID_WIDTH
         return u + jnp.log(-jnp.expm1(-u))
 
     first = inverse(start)
@@ -109,9 +106,9 @@ def graded_map(scale, start):
 
     def position(tau):
         soft, rate = softplus(first + span * tau)
-        rise = jnp.expm1(_WIDTH * soft)
+        rise = jnp.expm1(GRID_WIDTH * soft)
         e = 1 + rise  # sinh and cosh from one exponential: this runs at every stage
-        return scale * (rise + rise / e) / 2, scale * (e + 1 / e) / 2 * (_WIDTH * span) * rate
+        return scale * (rise + rise / e) / 2, scale * (e + 1 / e) / 2 * (GRID_WIDTH * span) * rate
 
     return position
 
@@ -149,7 +146,7 @@ def integrate(
         saveat=dfx.SaveAt(subs=subs),
         adjoint=dfx.ForwardMode(),
         stepsize_controller=controller,
-        max_steps=MOST_STEPS + 1 if not adaptive else 2048,
+        max_steps=MOST_STEPS + 1 if not adaptive else MOST_ADAPTIVE_STEPS,
         throw=False,
     )
     assert solution.ys is not None
@@ -330,7 +327,7 @@ def integrate_membrane(
     trail: str | None = None,
     heights: bool = False,
     adaptive: bool = False,
-    start: float = _START,
+    start: float = SERIES_RADIUS,
 ) -> Shot:
     """One integration from apex to rim at R = 1.
 

@@ -23,6 +23,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from .codes import Code
+from .resolution import FIRST_TRIES, LEAST_GROWTH, MOST_CONTRACTION, MOST_GROWTH, NEWTON_TRIES
 
 __all__ = ["Problem", "Steps", "Trace", "Walk", "advance", "begin", "trace"]
 
@@ -257,9 +258,9 @@ def _judge(steps: Steps, s: Walk, new: _Corrected, first, farthest) -> _Verdict:
     finite = jnp.all(jnp.isfinite(new.point)) & jnp.all(jnp.isfinite(new.tangent))
     going = s.code == int(Code.ok)
     accept = going & finite & new.settled & straight
-    failing = ~finite | (new.settled & ~straight) | (new.size > 0.5 * s.last) | (s.tries >= 6)
+    failing = ~finite | (new.settled & ~straight) | (new.size > MOST_CONTRACTION * s.last) | (s.tries >= NEWTON_TRIES)
     # the first point is only corrected: it has no step to shorten
-    failing = jnp.where(first, ~finite | (new.settled & ~straight) | (s.tries >= 20), failing & ~accept)
+    failing = jnp.where(first, ~finite | (new.settled & ~straight) | (s.tries >= FIRST_TRIES), failing & ~accept)
     return _Verdict(going, accept, failing)
 
 
@@ -285,7 +286,7 @@ def _grown(steps: Steps, s: Walk, new: _Corrected, smallest, largest):
         0.5 * steps.most_turn / (new.turn + 1e-12), 0.5 * steps.most_correction * s.step / (new.offset + 1e-300)
     )
     ease = jnp.minimum(ease, (0.6 * steps.most_change / (new.change + 1e-12)) ** 2)
-    return jnp.clip(s.step * jnp.clip(jnp.sqrt(ease), 0.5, 2.0), smallest, largest)
+    return jnp.clip(s.step * jnp.clip(jnp.sqrt(ease), LEAST_GROWTH, MOST_GROWTH), smallest, largest)
 
 
 def advance(problem: Problem, s: Walk) -> tuple[Walk, Array]:
