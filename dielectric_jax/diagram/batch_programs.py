@@ -14,6 +14,7 @@ from ..model import (
     SCALE,
     UNKNOWNS,
     ClosingEquation,
+    GridChange,
     estimated_error,
     field_ratio_squared,
     index_of,
@@ -203,8 +204,10 @@ def _settle(membrane, condition, goals: Goals, grid, newton: _Newton, residual, 
     left = (2 * coarse / fine) ** 8
     jacobian = jnp.moveaxis(matrix[:2] / _SCALE, -1, 0)
     relative = jnp.max(jnp.abs(step * _SCALE) / jnp.maximum(jnp.abs(u), 1e-3), axis=0)
-    change = left * residual[:2].T, left * jnp.abs(shift), condition.slopes(volume)[1], membrane.prestretch
-    error = estimated_error(u, volume, jacobian, sensitivities, *change, relative * contraction)
+    change, by_v = GridChange(left * residual[:2].T, left * jnp.abs(shift)), condition.slopes(volume)[1]
+    error = estimated_error(
+        u, volume, jacobian, sensitivities, change, by_v, membrane.prestretch, relative * contraction
+    )
     rate = jnp.sum(sensitivities[:, 1] * null * _SCALE, axis=0)
     fold, size = goals.folds, jnp.linalg.norm(step, axis=0)
     along = jnp.abs(jnp.sum(move * null, axis=0)) * doubt + TANGENT_ERROR * size / jnp.abs(slope)

@@ -1,9 +1,6 @@
-from .chart import LOAD_PANELS, Scan, cached_scan, explicit_map, map_nodes, stretch_shares
+from .chart import Scan, cached_scan, explicit_map, map_nodes, stretch_shares
 from .corrector import (
-    CONTRACTION,
-    GRIDS,
-    LEAST_ESTIMATE,
-    SCALE,
+    GridChange,
     Points,
     Shooting,
     corrected_points,
@@ -51,10 +48,11 @@ from .membrane import Membrane, Profile, field_ratio_squared, slopes, vhb_4910, 
 from .outcomes import REGIME_COLOURS, SNAPPING, FoldAhead, Outcome, Regime, regimes_of
 from .parameters import PARAMETERS, Change, Parameter, change_of, parameter_of, place_of
 from .profiles import energy, profile, scaling_defect
-from .programs import CHUNK, compile_ahead, cores, jacobian_program, run_chunks, threads, value_program
+from .programs import compile_ahead, cores, jacobian_program, run_chunks, threads, value_program
 from .records import Branch, Event, Ramp, SpecialPoint, State, events_table, plain, points_table, voltage_of
-from .scene import SCANNED_LOAD, Scene, Window, describe, pair
-from .shooting import MOST_STEPS, UNKNOWNS, eighth_order_step, integrate_membrane, rim_with_sensitivities, shoot
+from .resolution import CHUNK, CONTRACTION, GRIDS, LEAST_ESTIMATE, LOAD_PANELS, MOST_STEPS, SCALE, SCANNED_LOAD
+from .scene import Scene, Window, describe, pair
+from .shooting import UNKNOWNS, eighth_order_step, integrate_membrane, rim_with_sensitivities, shoot
 from .stability import Stability, index_of, stability_of
 from .units import VACUUM_PERMITTIVITY, VHB_4910, Units
 
@@ -92,6 +90,7 @@ __all__ = [
     "Event",
     "FoldAhead",
     "Gent",
+    "GridChange",
     "LoadingCondition",
     "Membrane",
     "MooneyRivlin",

@@ -23,22 +23,23 @@ from .loading import LoadingCondition
 from .materials import AbstractMaterial, capacitance, is_concrete, largest_load, stresses
 from .membrane import Membrane, apex_series, slopes
 from .programs import threads
-from .scene import SCANNED_LOAD
-from .shooting import MOST_STEPS, graded_map, integrate
+from .resolution import (
+    CLIFF,
+    CLIFF_SLOPE,
+    CLIFF_STRAY,
+    LOAD_PANELS,
+    MAP_CHUNK,
+    MAP_START,
+    MOST_SCANS,
+    MOST_STEPS,
+    REFINEMENT,
+    SCAN_NODES,
+    SCAN_STEPS,
+    SCANNED_LOAD,
+)
+from .shooting import graded_map, integrate
 
-__all__ = ["LOAD_PANELS", "Scan", "cached_scan", "explicit_map", "scan"]
-
-_START = 1e-3
-_NODES = (
-    110,
-    (16, 12, 16),
-    150,
-)  # of the scan: along the stretch; along the load on the panels between `LOAD_PANELS`; along
-# the stretch on the last of them
-_CLIFF = (6.0, 0.006)  # weight and width, as a share of the stretch, of the nodes' crowding about the cliff
-_STEEP, _STRAY = 20.0, 0.02  # least −d log p/d share of a cliff; largest distance of its places from a smooth path
-LOAD_PANELS = (0.45, 0.75)
-_REFINEMENT = 4
+__all__ = ["Scan", "cached_scan", "explicit_map", "scan"]
 
 
 def explicit_map(material: AbstractMaterial, apex_stretch, voltage_squared, prestretch, steps=48.0, *, outputs=False):
@@ -68,7 +69,7 @@ def _map(material: AbstractMaterial, apex_stretch, voltage_squared, prestretch, 
     rate = jnp.sqrt(fall / -b)  # R = rate ξ near the apex
     edge = jax.lax.stop_gradient(1 / (kappa * rate))
     scale = 2 * jnp.minimum(edge, 0.5)
-    first = _START * jnp.minimum(edge, 1.0)
+    first = MAP_START * jnp.minimum(edge, 1.0)
     position = graded_map(scale, first)
     radius0 = rate * first
     l1, l2 = apex + a * radius0**2, apex - fall * first**2
@@ -161,9 +162,6 @@ class Scan:
         )
 
 
-_CHUNK = 640
-
-
 @cached_jit
 def _map_chunk(material, apex_stretch, load, prestretch, steps):
     return explicit_map(material, apex_stretch, load * largest_load(material, apex_stretch), prestretch, steps)
@@ -172,15 +170,15 @@ def _map_chunk(material, apex_stretch, load, prestretch, steps):
 def map_nodes(material, apex_stretch, load, prestretch, steps):
     """The explicit map at (λa, t, λ0), chunk by chunk through one compiled program, on all cores."""
     count = len(apex_stretch)
-    padding = -count % _CHUNK
+    padding = -count % MAP_CHUNK
     given = np.broadcast_arrays(apex_stretch, load, prestretch)
     apex, t, rim = (np.pad(v, (0, padding), mode="edge") for v in given)
 
     def work(i):
-        chunk = slice(i, i + _CHUNK)
+        chunk = slice(i, i + MAP_CHUNK)
         return [np.asarray(v) for v in _map_chunk(material, apex[chunk], t[chunk], rim[chunk], steps)]
 
-    begins = range(0, count + padding, _CHUNK)
+    begins = range(0, count + padding, MAP_CHUNK)
     parts = [work(0), *threads().map(work, begins[1:])]  # the first alone: it compiles
     return [np.concatenate(values)[:count] for values in zip(*parts, strict=True)]
 
@@ -212,7 +210,7 @@ def _density(y, cliff=None):
     """
     above = (y - 0.6 + np.sqrt((y - 0.6) ** 2 + 0.01)) / 2  # y − 0.6 above it, without a kink: splines run across
     value = 0.6 * np.log(y) + 12 * y + 40 * above**2 - 1.5 * np.log(1.005 - y)
-    return value if cliff is None else value + _CLIFF[0] * np.arctan((y - cliff) / _CLIFF[1])
+    return value if cliff is None else value + CLIFF[0] * np.arctan((y - cliff) / CLIFF[1])
 
 
 def _places(y, first: float, cliff=None):
@@ -246,11 +244,11 @@ def _mapped(membrane: Membrane, apex, t) -> tuple[np.ndarray, np.ndarray]:
     material, rim = membrane.material, float(membrane.prestretch)
     span = membrane.lock_up_stretch()[0] - rim
     shape, apex, t = apex.shape, apex.ravel(), t.ravel()
-    values = map_nodes(material, apex, t, rim, 28.0)
+    values = map_nodes(material, apex, t, rim, SCAN_STEPS[0])
     # towards lock-up the equations are stiffer, and at a high load an inner layer forms; elsewhere 28 steps leave 1e-6
     stiff = apex - rim > 0.5 * span
     layer = (t > 0.8) & (apex - rim > 0.7 * span)
-    for which, steps in ((stiff & ~layer, 128.0), (layer, float(MOST_STEPS)), (None, float(MOST_STEPS))):
+    for which, steps in ((stiff & ~layer, SCAN_STEPS[1]), (layer, float(MOST_STEPS)), (None, float(MOST_STEPS))):
         which = ~_valid(*values) if which is None else which
         if which.any():
             for old, new in zip(values, map_nodes(material, apex[which], t[which], rim, steps), strict=True):
@@ -309,11 +307,11 @@ def _find_cliff(membrane: Membrane, high: float, low_t: float, high_t: float) ->
     steepest = np.argmin(fall, axis=0)
     place = (share[steepest] + share[steepest + 1]) / 2
     path = np.polynomial.Polynomial.fit(t, place, 3)
-    steep = np.nanmin(fall) < -_STEEP
-    return path if steep and np.abs(path(t) - place).max() < _STRAY else None
+    steep = np.nanmin(fall) < -CLIFF_SLOPE
+    return path if steep and np.abs(path(t) - place).max() < CLIFF_STRAY else None
 
 
-def scan(membrane: Membrane, stretches, loads, refinement: int = _REFINEMENT) -> Scan:
+def scan(membrane: Membrane, stretches, loads, refinement: int = REFINEMENT) -> Scan:
     """Samples the chart over stretches × loads (pairs of limits) and interpolates it on a fine grid.
 
     Nodes crowd towards the flat end, where p and V behave like powers of √(λa − λ0); logarithms of p/(1 − t) and V are
@@ -330,7 +328,7 @@ def scan(membrane: Membrane, stretches, loads, refinement: int = _REFINEMENT) ->
 
     bottom, top = loads[0], min(loads[1], SCANNED_LOAD)
     panels, counts = [bottom], []
-    for edge, count in zip((*LOAD_PANELS, top), _NODES[1], strict=True):
+    for edge, count in zip((*LOAD_PANELS, top), SCAN_NODES[1], strict=True):
         if edge == top or panels[-1] + 0.05 < edge < top - 0.05:
             panels.append(edge)
             counts.append(count)
@@ -338,7 +336,7 @@ def scan(membrane: Membrane, stretches, loads, refinement: int = _REFINEMENT) ->
     plain = len(counts) - (cliff is not None)
 
     # the fine rows, three times as many where the cliff passes
-    fine = np.linspace(0.0, 1.0, refinement * (_NODES[0] - 1) + 1)
+    fine = np.linspace(0.0, 1.0, refinement * (SCAN_NODES[0] - 1) + 1)
     if cliff is not None:
         passed = cliff(np.linspace(panels[-2], top, 9))
         near = _places(np.clip([passed.min() - 0.02, passed.max() + 0.02], first, 1.0), first)
@@ -350,7 +348,7 @@ def scan(membrane: Membrane, stretches, loads, refinement: int = _REFINEMENT) ->
     parts, fine_t = [], []
     if plain:
         x, own_t, matrix = _panel_matrix(panels[: plain + 1], counts[:plain], refinement)
-        share = stretch_shares(first, _NODES[0])
+        share = stretch_shares(first, SCAN_NODES[0])
         apex, t = np.meshgrid(stretch_of(share), x, indexing="ij")
         places = np.broadcast_to(_places(share, first)[:, None], apex.shape)
         values = _columns(places, *_mapped(membrane, apex, t), _places(rows, first))
@@ -358,11 +356,11 @@ def scan(membrane: Membrane, stretches, loads, refinement: int = _REFINEMENT) ->
         fine_t.append(own_t)
     if cliff is not None:
         x, own_t, matrix = _panel_matrix(panels[-2:], counts[-1:], refinement)
-        share = np.stack([_shares(np.linspace(0.0, 1.0, _NODES[2]), first, cliff(v)) for v in x], axis=1)
+        share = np.stack([_shares(np.linspace(0.0, 1.0, SCAN_NODES[2]), first, cliff(v)) for v in x], axis=1)
         share[[0, -1]] = [[first], [1.0]]
         places = np.stack([_places(column, first, cliff(v)) for column, v in zip(share.T, x, strict=True)], axis=1)
         apex, t = stretch_of(share), np.broadcast_to(x, share.shape)
-        even = np.linspace(0.0, 1.0, 6 * _NODES[2])
+        even = np.linspace(0.0, 1.0, 6 * SCAN_NODES[2])
         moving = _columns(places, *_mapped(membrane, apex, t), even)
         smooth = _through(even, moving)
         values = [
@@ -394,7 +392,7 @@ def cached_scan(membrane: Membrane, stretches, loads) -> Scan:
     with _scanning:  # batches ask from several threads
         if key not in _scans:
             _scans[key] = scan(membrane, stretches, loads)
-            while len(_scans) > 16:
+            while len(_scans) > MOST_SCANS:
                 _scans.popitem(last=False)
         _scans.move_to_end(key)
         return _scans[key]

@@ -26,28 +26,28 @@ from .programs import (
     run_chunks,
     value_program,
 )
-from .scene import SCANNED_LOAD
+from .resolution import (
+    ADAPTIVE,
+    CONE_LOAD,
+    CONTRACTION,
+    FEW_ULPS,
+    GRIDS,
+    HOPELESS,
+    LAYER_LOADS,
+    LAYER_STRETCH,
+    LEAST_ESTIMATE,
+    MOST_MOVE,
+    NEAR_FOLD,
+    NEWTON_TRIES,
+    REFINED,
+    ROUNDING,
+    SAFETY,
+    SCALE,
+    SCANNED_LOAD,
+)
 from .stability import control_rate, index_of
 
 __all__ = ["Points", "Shooting", "corrected_points", "load_fraction", "locking_stretch"]
-
-SCALE = np.array([1.0, 0.2, 0.02])  # of (λa, p, q)
-# steps: of Newton, then of the residual; where an inner layer forms (a high load near lock-up, or near the cone) Newton
-# needs more, and more again where the layer is thin
-GRIDS = ((16.0, 32.0, 64.0, 128.0), (24.0, 48.0, 96.0, 192.0, 320.0), (80.0, 160.0, 320.0))
-_REFINED = (48.0, 144.0, 240.0)  # steps of a refined tangent
-_NEAR_FOLD = (
-    1e-3  # component of the tangent along the control below which a tangent is refined: the index turns on its sign
-)
-CONTRACTION = (2e-4, 3e-3, 1e-3)  # of a chord step: the error of Newton's Jacobian, measured
-_TRIES = (9, 6, 9)  # of Newton
-_MOST_MOVE = 3e-9  # relative: height and charge are not moved along with the state
-ADAPTIVE = (10.0, 12.0, 13.0)  # exponents of the tolerance of the careful path
-_HOPELESS = 1e-3  # estimates of the finest grid beyond which the careful path is not tried
-SAFETY = 16.0
-LEAST_ESTIMATE = 1e-13
-_ROUNDING = 5e-15  # relative to λa − λ0, p and V; measured
-_FEW_ULPS = 2e-16  # relative to λa
 
 
 @dataclasses.dataclass
@@ -142,22 +142,29 @@ def tangents(jacobian: np.ndarray) -> np.ndarray:
         return null / np.linalg.norm(null, axis=1, keepdims=True)
 
 
-def estimated_error(u, volume, jacobian, sensitivities, change, change_of_volume, by_v, rim, chord: typing.Any = 0.0):
+class GridChange(typing.NamedTuple):
+    """By how much the residuals (lanes, 2) of rim condition and loading, and V (lanes,), changed when the steps were last halved."""
+
+    residual: typing.Any
+    volume: typing.Any
+
+
+def estimated_error(u, volume, jacobian, sensitivities, change: GridChange, by_v, rim, chord: typing.Any = 0.0):
     """Estimate of the largest relative error of p, V and q at fixed λa, (lanes,), never below `LEAST_ESTIMATE`.
 
-    Of states u (3, lanes) from what the residuals (lanes, 2) and V changed by when the steps were halved last, the Jacobian
-    (lanes, 2, 3) and columns (3, 2, lanes), and what rounding can do; `by_v` is the loading's slope in V.
+    Of states u (3, lanes) from the `change` caused by halving the steps, the Jacobian (lanes, 2, 3), the sensitivities
+    (3, 2, lanes), and what rounding can do; `by_v` is the loading's slope in V, `chord` an error that is added.
     """
     xp = jnp if isinstance(volume, jax.Array) else np
-    rim_off = abs(change[:, 0]) / SAFETY + _ROUNDING * abs(u[0] - rim) + _FEW_ULPS * abs(u[0])
-    condition_off = abs(change[:, 1]) / SAFETY + _ROUNDING * (abs(u[1]) + abs(by_v * volume))
+    rim_off = abs(change.residual[:, 0]) / SAFETY + ROUNDING * abs(u[0] - rim) + FEW_ULPS * abs(u[0])
+    condition_off = abs(change.residual[:, 1]) / SAFETY + ROUNDING * (abs(u[1]) + abs(by_v * volume))
     of_rim, of_condition = abs(jacobian[:, 0]), abs(jacobian[:, 1])
     with np.errstate(all="ignore"):
         determinant = abs(jacobian[:, 0, 1] * jacobian[:, 1, 2] - jacobian[:, 0, 2] * jacobian[:, 1, 1])
         of_p = (of_condition[:, 2] * rim_off + of_rim[:, 2] * condition_off) / determinant
         of_q = (of_condition[:, 1] * rim_off + of_rim[:, 1] * condition_off) / determinant
         of_volume = abs(sensitivities[1, 1]) * of_p + abs(sensitivities[2, 1]) * of_q
-        of_volume = of_volume + _ROUNDING * abs(volume) + change_of_volume / SAFETY
+        of_volume = of_volume + ROUNDING * abs(volume) + change.volume / SAFETY
         error = xp.stack([of_p, of_volume, of_q]) / xp.maximum(abs(xp.stack([u[1], volume, u[2]])), 1e-3)
         error = error.max(axis=0) + chord
     return xp.maximum(xp.where(xp.isnan(error), np.inf, error), LEAST_ESTIMATE)
@@ -165,16 +172,16 @@ def estimated_error(u, volume, jacobian, sensitivities, change, change_of_volume
 
 def locking_stretch(membrane: Membrane) -> float:
     """λa beyond which an inner layer forms at a high load."""
-    return 0.72 * membrane.lock_up_stretch()[0]
+    return LAYER_STRETCH * membrane.lock_up_stretch()[0]
 
 
 def difficulty(locks_from, apex_stretch: np.ndarray, load_fraction: np.ndarray) -> np.ndarray:
     """Which ladder of grids resolves the membrane, an index of `GRIDS` for each lane; see `locking_stretch`."""
     locking = apex_stretch > locks_from
     return (
-        (locking & (load_fraction > 0.7)).astype(int)
-        + (locking & (load_fraction > 0.86))
-        + 2 * (~locking & (load_fraction > 0.93))
+        (locking & (load_fraction > LAYER_LOADS[0])).astype(int)
+        + (locking & (load_fraction > LAYER_LOADS[1]))
+        + 2 * (~locking & (load_fraction > CONE_LOAD))
     )
 
 
@@ -206,8 +213,8 @@ def corrected_points(
     level = difficulty(locking_stretch(membrane), u[0], load_fraction(membrane, u))
 
     def solve(which, k):
-        parts = u[:, which], rows[which], targets[which], tolerance, reach, k, refined[which]
-        return _corrected_points(membrane, condition, *parts)
+        goal = _Goal(rows[which], targets[which])
+        return _Newton(membrane, condition, goal, u[:, which], k, tolerance, reach).solve(refined[which])
 
     todo = [np.flatnonzero(level == k) for k in range(len(GRIDS))]
     order, done = [], []
@@ -243,150 +250,209 @@ class Shooting:
         return points
 
 
-def _corrected_points(membrane, condition, u, rows, targets, tolerance, reach, level, refine) -> Points:
-    """`corrected_points` of lanes that share one ladder of grids."""
-    ladder = GRIDS[level]
-    coarse = ladder[0]
-    u = np.array(u, float)
-    lanes = u.shape[1]
-    rim = float(membrane.prestretch)
-    start = u.copy()
-    by_volume = ~np.isfinite(rows).all(axis=1)
+class _Goal(typing.NamedTuple):
+    """The last equation of each lane: rows·u = target with `rows` (lanes, 3), or V = target where the row is NaN."""
 
-    def system(part, stretch_change, volume, sensitivities):
-        at = u[:, part]
-        residual, jacobian = _assemble(at, stretch_change, volume, sensitivities, rim, condition)
-        last_row = np.where(by_volume[part, None], sensitivities[:, 1].T, rows[part])
-        last = np.where(by_volume[part], volume, np.einsum("ij,ji->i", np.nan_to_num(rows[part]), at)) - targets[part]
+    rows: np.ndarray
+    targets: np.ndarray
+
+    def equation(self, which, u, volume, sensitivities):
+        """Residual (lanes,) and gradient (lanes, 3) at states u (3, lanes) of the lanes `which`."""
+        rows = self.rows[which]
+        by_volume = ~np.all(np.isfinite(rows), axis=1)
+        gradient = np.where(by_volume[:, None], sensitivities[:, 1].T, rows)
+        value = np.where(by_volume, volume, np.einsum("ij,ji->i", np.nan_to_num(rows), u)) - self.targets[which]
+        return value, gradient
+
+
+class _Newton:
+    """Newton on lanes that share one ladder of grids: their states, linearisations and error estimates so far.
+
+    `matrix` (lanes, 3, 3) is the Jacobian of rim condition, loading and goal, `sensitivities` (3, 2, lanes) and `zeros` are
+    those of `jacobian_program`. `change` is what the last finer grid changed, `chord` what the chord steps leave, relative.
+    """
+
+    def __init__(self, membrane, condition, goal: _Goal, u, level: int, tolerance: float, reach: float):
+        self.membrane, self.condition, self.goal = membrane, condition, goal
+        self.level, self.tolerance, self.reach = level, tolerance, reach
+        self.rim = float(membrane.prestretch)
+        self.u = np.array(u, float)
+        self.start = self.u.copy()
+        lanes = self.u.shape[1]
+        self.matrix = np.full((lanes, 3, 3), np.nan)
+        self.sensitivities = np.full((3, 2, lanes), np.nan)
+        self.zeros = np.zeros(lanes, int)
+        self.volume, self.height, self.charge, self.hoop, self.field = (np.full(lanes, np.nan) for _ in range(5))
+        self.charge_slopes = np.full((3, lanes), np.nan)
+        self.settled, self.admissible, self.elliptic = (np.zeros(lanes, bool) for _ in range(3))
+        self.change = GridChange(np.full((lanes, 2), np.nan), np.full(lanes, np.nan))
+        self.chord = np.zeros(lanes)
+        self.estimate = np.full(lanes, np.inf)
+
+    def solve(self, refine) -> Points:
+        """The points of all lanes; `refine` (lanes,) as in `corrected_points`."""
+        self.newton()
+        self.climb(refine)
+        self.refine_tangents(refine)
+        return self.points()
+
+    def _system(self, which, stretch_change, volume, sensitivities):
+        """Residual (lanes, 3) and Jacobian (lanes, 3, 3) of the lanes `which`."""
+        at = self.u[:, which]
+        residual, jacobian = _assemble(at, stretch_change, volume, sensitivities, self.rim, self.condition)
+        last, last_row = self.goal.equation(which, at, volume, sensitivities)
         return np.concatenate([residual, last[:, None]], axis=1), np.concatenate([jacobian, last_row[:, None]], axis=1)
 
-    matrix = np.full((lanes, 3, 3), np.nan)
-    sensitivities = np.full((3, 2, lanes), np.nan)
-    zeros = np.zeros(lanes, int)
-    volume = np.full(lanes, np.nan)
-    active = np.arange(lanes)
-    settled = np.zeros(lanes, bool)
+    def _linearise(self, which, steps):
+        """Residual and V of the lanes `which` on a grid; what `jacobian_program` and `_system` give is kept."""
+        stretch_change, volume, self.sensitivities[..., which], self.zeros[which] = run_chunks(
+            lambda part: jacobian_program(self.membrane.material, part, steps), self.u[:, which]
+        )
+        residual, self.matrix[which] = self._system(which, stretch_change, volume, self.sensitivities[..., which])
+        return residual, volume
 
-    def newton(active, steps, tries):
-        size = np.full(lanes, np.inf)
-        for _ in range(tries):
+    def _volume_change(self, which, move):
+        """dV of moves (lanes, 3)."""
+        return np.einsum("il,li->l", self.sensitivities[:, 1][:, which], move)
+
+    def _drift(self, which: typing.Any = slice(None)):
+        """The distance from the start in scaled unknowns."""
+        return np.linalg.norm((self.u[:, which] - self.start[:, which]).T / SCALE, axis=1)
+
+    def _damped(self, which, move):
+        """Newton's moves (lanes, 3), shortened to half of `reach` and to stay among tensile states; and their lengths."""
+        length = np.linalg.norm(move / SCALE, axis=1)
+        with np.errstate(all="ignore"):
+            move = move * np.minimum(1.0, 0.5 * self.reach / length)[:, None]
+            # neither p nor λa − λ0 shrinks below three tenths in one move
+            room = np.stack([self.u[0, which] - self.rim, self.u[1, which]], axis=1)
+            share = np.where(move[:, :2] < -0.7 * room, -0.7 * room / move[:, :2], 1.0).min(axis=1)
+            move = move * np.where(share > 0, share, 1.0)[:, None]
+            return move, np.where(share < 1, np.maximum(length, 1e-3), length)
+
+    def newton(self) -> None:
+        """Newton with exact Jacobians on the coarsest grid; lanes that converge are `settled`."""
+        active = np.arange(len(self.settled))
+        size = np.full(len(active), np.inf)
+        for _ in range(NEWTON_TRIES[self.level]):
             if not len(active):
                 break
-            stretch_change, volume[active], sensitivities[..., active], zeros[active] = run_chunks(
-                lambda part: jacobian_program(membrane.material, part, steps), u[:, active]
-            )
-            right, matrix[active] = system(active, stretch_change, volume[active], sensitivities[..., active])
-            move = -_solve(matrix[active], right)
-            length = np.linalg.norm(move / SCALE, axis=1)
-            with np.errstate(all="ignore"):
-                move = move * np.minimum(1.0, 0.5 * reach / length)[:, None]
-                # stay among tensile states: neither p nor λa − λ0 shrinks below three tenths in one move
-                room = np.stack([u[0, active] - rim, u[1, active]], axis=1)
-                share = np.where(move[:, :2] < -0.7 * room, -0.7 * room / move[:, :2], 1.0).min(axis=1)
-                move = move * np.where(share > 0, share, 1.0)[:, None]
-                length = np.where(share < 1, np.maximum(length, 1e-3), length)
-            u[:, active] += move.T
-            volume[active] += np.einsum("il,li->l", sensitivities[:, 1][:, active], move)
+            residual, self.volume[active] = self._linearise(active, GRIDS[self.level][0])
+            move, length = self._damped(active, -_solve(self.matrix[active], residual))
+            self.u[:, active] += move.T
+            self.volume[active] += self._volume_change(active, move)
             before, size[active] = size[active], length
-            drift = np.linalg.norm((u[:, active] - start[:, active]).T / SCALE, axis=1)
             with np.errstate(all="ignore"):
                 # the next move, where Newton converges squared
                 ahead = np.where(length < 1e-3, length * (length / before) ** 2, np.inf)
-            settled[active] = ((length < 1e-5) | (ahead < 1e-9)) & (_relative(move, u[:, active]) < 1e-4)
-            active = active[~settled[active] & np.isfinite(length) & (drift < 3 * reach)]
+            self.settled[active] = ((length < 1e-5) | (ahead < 1e-9)) & (_relative(move, self.u[:, active]) < 1e-4)
+            active = active[~self.settled[active] & np.isfinite(length) & (self._drift(active) < 3 * self.reach)]
+        self.settled &= np.isfinite(self.u).all(axis=0)
 
-    newton(active, coarse, _TRIES[level])
-    settled &= np.isfinite(u).all(axis=0)
-    result = [volume.copy(), *(np.full(lanes, np.nan) for _ in range(4))]
-    admissible, elliptic = np.zeros(lanes, bool), np.zeros(lanes, bool)
-    charge_slopes = np.full((3, lanes), np.nan)
-    change_of_volume = np.full(lanes, np.nan)
-    chord = np.zeros(lanes)  # what is left of the chord steps, relative
-    discretisation = np.full((lanes, 2), np.nan)  # change of (rim condition, condition) from the coarser grid
-    estimate = np.full(lanes, np.inf)
-
-    def correct(active, steps, *, adaptive=False, last=True):
-        """Deferred correction on one grid: the residual there at first, and the state moved to make it zero.
-
-        Where it is not the `last` grid, lanes whose estimate sends them to the next one are moved only once.
-        """
-        first = np.full((lanes, 2), np.nan)
-        working = active
-        for round_ in range(6):
-            program = careful_program if adaptive else value_program
-            stretch_change, vol, *rest = run_chunks(lambda part, run=program: run(membrane, part, steps), u[:, working])
-            right, _ = system(working, stretch_change, vol, sensitivities[..., working])
-            move = -_solve(matrix[working], right)
-            begin = np.isnan(first[working, 0])
-            first[working[begin]] = right[begin, :2]
-            change_of_volume[working[begin]] = np.abs(vol - result[0][working])[begin]
-            u[:, working] += move.T
-            vol = vol + np.einsum("il,li->l", sensitivities[:, 1][:, working], move)
-            for store, values in zip([*result, admissible, elliptic], [vol, *rest], strict=False):
-                store[working] = values
-            # what the next chord step would move is smaller by the error of the Jacobian
-            moved = _relative(move, u[:, working])
-            again = ~((moved <= _MOST_MOVE) & (moved * CONTRACTION[level] <= 0.01 * tolerance))
-            if round_ == 0 and not last:
-                discretisation[working], chord[working] = np.abs(right[:, :2]), 0.0
-                estimate_errors(working)
-                again &= ~(estimate[working] > tolerance)
-            chord[working] = moved * CONTRACTION[level]
-            working = working[again]
-            if not len(working):
+    def climb(self, refine) -> None:
+        """Deferred correction of the settled lanes on finer and finer grids, until their estimates meet the tolerance."""
+        ladder = GRIDS[self.level]
+        active = np.flatnonzero(self.settled)
+        for steps in ladder[1:]:
+            if not len(active):
                 break
-        return first[active]
+            self._correct(active, steps, last=steps == ladder[-1])
+            self._estimate_errors(active)
+            # stresses along the membrane want one grid more than the state
+            enough = (self.estimate[active] <= self.tolerance) & ~(refine[active] & (steps == ladder[1]))
+            active = active[~enough]
+        if self.level and len(active):
+            self._correct_adaptively(active)
 
-    def estimate_errors(active):
-        state = u[:, active], result[0][active], matrix[active, :2], sensitivities[..., active]
-        changes = discretisation[active], change_of_volume[active]
-        rounding = condition.slopes(result[0][active])[1], rim
-        estimate[active] = estimated_error(*state, *changes, *rounding, chord[active])
-
-    active = np.flatnonzero(settled)
-    for steps in ladder[1:]:
-        if not len(active):
-            break
-        discretisation[active] = np.abs(correct(active, steps, last=steps == ladder[-1]))
-        estimate_errors(active)
-        # stresses along the membrane want one grid more than the state
-        enough = (estimate[active] <= tolerance) & ~(refine[active] & (steps == ladder[1]))
-        active = active[~enough]
-    if level and len(active):
+    def _correct_adaptively(self, active) -> None:
+        """Deferred correction with adaptive steps of lanes that the finest grid has not resolved."""
         # within the scanned loads only: beyond them a branch ends where the estimate does
-        active = active[(load_fraction(membrane, u[:, active]) <= SCANNED_LOAD) & (estimate[active] < _HOPELESS)]
+        scanned = load_fraction(self.membrane, self.u[:, active]) <= SCANNED_LOAD
+        active = active[scanned & (self.estimate[active] < HOPELESS)]
         for exponent in ADAPTIVE:
             if not len(active):
                 break
-            discretisation[active] = np.abs(correct(active, exponent, adaptive=True))
+            self._correct(active, exponent, adaptive=True)
             if exponent != ADAPTIVE[0]:
-                estimate_errors(active)
-                active = active[~(estimate[active] <= tolerance)]
-    control = condition.control
+                self._estimate_errors(active)
+                active = active[~(self.estimate[active] <= self.tolerance)]
 
-    def points() -> Points:
-        tangent, charge = tangents(matrix[:, :2]), (u[2], result[2], charge_slopes) if control == 3 else None
-        index = index_of(zeros, matrix, sensitivities, result[0], condition, charge)
-        drift = np.linalg.norm((u - start).T / SCALE, axis=1)
-        ok = settled & np.isfinite(u).all(axis=0) & np.isfinite(result[0]) & (drift < 2 * reach) & admissible
-        known = np.where(elliptic, index, -1)
-        return Points(u, *result[:3], charge_slopes, *result[3:], tangent, known, estimate, ok)  # pyright: ignore[reportCallIssue]
+    def _correct(self, active, steps, *, adaptive=False, last=True) -> None:
+        """Deferred correction on one grid: the residual there at first is kept, and the state moved to make it zero.
 
-    def measure_charge(which, steps):
-        if control == 3 and len(which):
-            _, charge_slopes[:, which] = run_chunks(
-                lambda part: charge_program(membrane.material, part, steps), u[:, which]
+        Where it is not the `last` grid, lanes whose estimate sends them to the next one are moved only once.
+        """
+        program = careful_program if adaptive else value_program
+        first = np.full((len(self.settled), 2), np.nan)
+        working = active
+        for round_ in range(6):
+            stretch_change, volume, *rest = run_chunks(
+                lambda part: program(self.membrane, part, steps), self.u[:, working]
+            )
+            residual, _ = self._system(working, stretch_change, volume, self.sensitivities[..., working])
+            move = -_solve(self.matrix[working], residual)
+            if round_ == 0:
+                first[working] = residual[:, :2]
+                self.change.volume[working] = np.abs(volume - self.volume[working])
+            self.u[:, working] += move.T
+            self.volume[working] = volume + self._volume_change(working, move)
+            stores = self.height, self.charge, self.hoop, self.field, self.admissible, self.elliptic
+            for store, values in zip(stores, rest, strict=False):  # adaptive steps give the first two
+                store[working] = values
+            # what the next chord step would move is smaller by the error of the Jacobian
+            moved = _relative(move, self.u[:, working])
+            left = moved * CONTRACTION[self.level]
+            again = ~((moved <= MOST_MOVE) & (left <= 0.01 * self.tolerance))
+            if round_ == 0 and not last:
+                self.change.residual[working], self.chord[working] = np.abs(residual[:, :2]), 0.0
+                self._estimate_errors(working)
+                again &= ~(self.estimate[working] > self.tolerance)
+            self.chord[working] = left
+            working = working[again]
+            if not len(working):
+                break
+        self.change.residual[active] = np.abs(first[active])
+
+    def _estimate_errors(self, which) -> None:
+        volume, change = self.volume[which], GridChange(*(v[which] for v in self.change))
+        linear = self.matrix[which, :2], self.sensitivities[..., which]
+        slope = self.condition.slopes(volume)[1]
+        self.estimate[which] = estimated_error(
+            self.u[:, which], volume, *linear, change, slope, self.rim, self.chord[which]
+        )
+
+    def _measure_charge(self, which, steps) -> None:
+        """The derivatives of C on a grid, where the charge is controlled."""
+        if self.condition.control == 3 and len(which):
+            _, self.charge_slopes[:, which] = run_chunks(
+                lambda part: charge_program(self.membrane.material, part, steps), self.u[:, which]
             )
 
-    measure_charge(np.flatnonzero(settled), coarse)
-    with np.errstate(invalid="ignore"):
-        refine = refine | (np.abs(points().control_slope(control)) < _NEAR_FOLD)
-    which = np.flatnonzero(settled & refine)
-    if len(which):
-        steps = _REFINED[level]
-        stretch_change, vol, sensitivities[..., which], zeros[which] = run_chunks(
-            lambda part: jacobian_program(membrane.material, part, steps), u[:, which]
+    def refine_tangents(self, refine) -> None:
+        """The linearisation anew on a finer grid, where asked for and near folds."""
+        self._measure_charge(np.flatnonzero(self.settled), GRIDS[self.level][0])
+        with np.errstate(invalid="ignore"):
+            refine = refine | (np.abs(self.points().control_slope(self.condition.control)) < NEAR_FOLD)
+        which = np.flatnonzero(self.settled & refine)
+        if len(which):
+            self._linearise(which, REFINED[self.level])
+            self._measure_charge(which, REFINED[self.level])
+
+    def points(self) -> Points:
+        """The lanes as they are."""
+        charge = (self.u[2], self.charge, self.charge_slopes) if self.condition.control == 3 else None
+        index = index_of(self.zeros, self.matrix, self.sensitivities, self.volume, self.condition, charge)
+        finite = np.isfinite(self.u).all(axis=0) & np.isfinite(self.volume)
+        return Points(
+            u=self.u,
+            volume=self.volume,
+            height=self.height,
+            charge_per_voltage=self.charge,
+            charge_slopes=self.charge_slopes,
+            hoop=self.hoop,
+            field=self.field,
+            tangent=tangents(self.matrix[:, :2]),
+            index=np.where(self.elliptic, index, -1),
+            error=self.estimate,
+            ok=self.settled & finite & (self._drift() < 2 * self.reach) & self.admissible,
         )
-        _, matrix[which] = system(which, stretch_change, vol, sensitivities[..., which])
-        measure_charge(which, steps)
-    return points()

@@ -10,14 +10,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-__all__ = ["MODULI", "check_energy", "check_modulus", "check_permittivity", "require_float64"]
+from .resolution import ASYMMETRY, CHECKED_SHARES, MODULI, STATIONARY, UNLIMITED_STRETCH
 
-MODULI = (0.1, 10.0)  # small-strain moduli that are one in the unit of stress, nearly
-_SAME = 1e-9  # relative
-_STATIONARY = 1e-6  # of the modulus
-_MOST = 12.0  # stretches at which the symmetry is looked at
-# pairs of shares of the stretches up to the largest; three more than a scalar or a pair would fit by chance
-_SHARES = np.array([[0.0, 0.0], [0.02, 0.1], [0.1, 0.3], [0.3, 0.02], [0.5, 0.2], [0.8, 0.4], [0.05, 0.9]])
+__all__ = ["check_energy", "check_modulus", "check_permittivity", "require_float64"]
 
 
 def require_float64() -> None:
@@ -91,7 +86,7 @@ def check_energy(material, name: str) -> None:
                 f"The constants of a {type(material).__name__} must be numbers, others eqx.field(static=True), but one is {leaf!r}."
             )
     largest = material.lock_up_stretch(1.0)[0]
-    l1, l2 = 1 + (min(float(largest), _MOST) - 1) * _SHARES.T
+    l1, l2 = 1 + (min(float(largest), UNLIMITED_STRETCH) - 1) * CHECKED_SHARES.T
     told = _evaluated(name, material, "energy", l1, l2)
     w, swapped, w1, w2, w11, w12 = told
     if not np.isfinite(told[:, 0]).all():
@@ -100,7 +95,7 @@ def check_energy(material, name: str) -> None:
             f"{', '.join(f'{v:g}' for v in told[[0, 2, 3, 4, 5], 0])}."
         )
     with np.errstate(all="ignore"):
-        uneven = np.abs(w - swapped) > _SAME * (np.abs(w) + np.abs(swapped)) + 1e-12 * np.abs(w11[0])
+        uneven = np.abs(w - swapped) > ASYMMETRY * (np.abs(w) + np.abs(swapped)) + 1e-12 * np.abs(w11[0])
     if uneven.any():
         k = int(np.argmax(uneven))
         raise ValueError(
@@ -108,7 +103,7 @@ def check_energy(material, name: str) -> None:
             f"W({l2[k]:.4g}, {l1[k]:.4g}) is {swapped[k]:.9g}."
         )
     modulus, shear = (w11[0] + w12[0]) / 6, (w11[0] - w12[0]) / 2
-    if not max(abs(w1[0]), abs(w2[0])) <= _STATIONARY * max(abs(modulus), abs(shear)):
+    if not max(abs(w1[0]), abs(w2[0])) <= STATIONARY * max(abs(modulus), abs(shear)):
         raise ValueError(
             f"`{name}` must be stationary at λ1 = λ2 = 1, where the membrane carries no stress, but there W_1 is {w1[0]:.6g}."
         )
@@ -122,7 +117,7 @@ def check_energy(material, name: str) -> None:
 def check_permittivity(material, largest: float) -> None:
     """Refuses a permittivity e(λ1, λ2) that is not symmetric, or none of the unstretched membrane."""
     require_float64()
-    l1, l2 = 1 + (min(float(largest), _MOST) - 1) * _SHARES.T
+    l1, l2 = 1 + (min(float(largest), UNLIMITED_STRETCH) - 1) * CHECKED_SHARES.T
     told = _evaluated("function", material, "permittivity", l1, l2)
     e, swapped = told[:2]
     if not (np.isfinite(told[:, 0]).all() and MODULI[0] <= e[0] <= MODULI[1]):
@@ -131,7 +126,7 @@ def check_permittivity(material, largest: float) -> None:
             f"derivatives, so that it is about 1 (from {MODULI[0]:g} to {MODULI[1]:g}) at λ1 = λ2 = 1, but it is {e[0]:.6g}."
         )
     with np.errstate(all="ignore"):
-        uneven = np.abs(e - swapped) > _SAME * (np.abs(e) + np.abs(swapped))
+        uneven = np.abs(e - swapped) > ASYMMETRY * (np.abs(e) + np.abs(swapped))
     if uneven.any():
         k = int(np.argmax(uneven))
         raise ValueError(

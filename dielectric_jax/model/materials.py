@@ -20,6 +20,16 @@ import numpy as np
 
 from ..numerics import LARGEST, check_positive, elementwise, log1p, of_this_package, reciprocal
 from .energies import check_energy, check_modulus, check_permittivity
+from .resolution import (
+    LARGEST_EXPONENT,
+    LARGEST_LIMIT,
+    LEAST_LIMIT,
+    LEAST_STRETCH,
+    LOCKED_CHAIN,
+    MOST_TERMS,
+    UNLIMITED_STRETCH,
+    UNROLLED_TERMS,
+)
 from .units import VACUUM_PERMITTIVITY, VHB_4910, Scalar, as_scalar, is_concrete
 
 __all__ = [
@@ -116,10 +126,6 @@ def capacitance(material: AbstractMaterial, l1, l2):
     return material.permittivity(l1, l2) * ideal if isinstance(material, AbstractDielectric) else ideal
 
 
-#: limits J and links n in which double precision resolves the window; above them the material is neo-Hookean to rounding
-_LEAST_LIMIT, _LARGEST_LIMIT = 1e-6, 1e15
-
-
 def _root_of_limit(limit: float) -> float:
     """λ with 2λ² + λ⁻⁴ − 3 = limit > 0, λ ≥ 1; of d = λ² − 1, d² (3 + 2d)/(1 + d)² = limit, where nothing cancels."""
     most = (limit + 1) / 2
@@ -150,9 +156,9 @@ class Gent(AbstractMaterial):
         if is_concrete(self.stretch_limit):
             value = float(self.stretch_limit)
             check_positive("stretch_limit", value)
-            if not _LEAST_LIMIT <= value <= _LARGEST_LIMIT:
+            if not LEAST_LIMIT <= value <= LARGEST_LIMIT:
                 raise ValueError(
-                    f"`stretch_limit` must be from {_LEAST_LIMIT:g} to {_LARGEST_LIMIT:g} (a material without a limit is "
+                    f"`stretch_limit` must be from {LEAST_LIMIT:g} to {LARGEST_LIMIT:g} (a material without a limit is "
                     f"NeoHookean), but is {value!r}."
                 )
 
@@ -180,7 +186,7 @@ class NeoHookean(AbstractMaterial):
         return (l1 > 0) & (l2 > 0)
 
     def lock_up_stretch(self, prestretch):
-        return 12 * prestretch, False
+        return UNLIMITED_STRETCH * prestretch, False
 
 
 # Taylor coefficients of the Langevin function L(b) = coth b − 1/b in odd powers of b
@@ -250,9 +256,6 @@ def _(primals, tangents):
     return _chain_energy(primals[0]), inverse_langevin(primals[0]) * tangents[0]
 
 
-_LOCKED = 0.995  # ρ at which the window of the eight-chain material ends
-
-
 class ArrudaBoyce(AbstractMaterial):
     """Arruda and Boyce's eight-chain energy, W = n (ρ β + log(β/sinh β)), ρ² = (λ1² + λ2² + λ3²)/(3n).
 
@@ -268,10 +271,10 @@ class ArrudaBoyce(AbstractMaterial):
 
     def __check_init__(self):
         # the window ends at ρ = 0.995, and ρ² = 1/n where nothing is stretched
-        if is_concrete(self.chain_links) and not _LOCKED**-2 < float(self.chain_links) <= _LARGEST_LIMIT:
+        if is_concrete(self.chain_links) and not LOCKED_CHAIN**-2 < float(self.chain_links) <= LARGEST_LIMIT:
             raise ValueError(
-                f"`chain_links` must be above {_LOCKED**-2:.5g}, so that an unstretched chain is below {_LOCKED:g} of its "
-                f"full length, and at most {_LARGEST_LIMIT:g}, but is {float(self.chain_links)!r}."
+                f"`chain_links` must be above {LOCKED_CHAIN**-2:.5g}, so that an unstretched chain is below {LOCKED_CHAIN:g} of its "
+                f"full length, and at most {LARGEST_LIMIT:g}, but is {float(self.chain_links)!r}."
             )
 
     def _extension(self, l1, l2):
@@ -289,7 +292,7 @@ class ArrudaBoyce(AbstractMaterial):
         return self._extension(l1, l2) < 1 - 1e-6
 
     def lock_up_stretch(self, prestretch):
-        return _root_of_limit(3 * (float(self.chain_links) * _LOCKED**2 - 1)), True
+        return _root_of_limit(3 * (float(self.chain_links) * LOCKED_CHAIN**2 - 1)), True
 
 
 class CustomMaterial(AbstractMaterial):
@@ -434,13 +437,6 @@ class CustomBreakdown(AbstractBreakdown):
         return self.scale * self.function(stretch)
 
 
-# terms of Ogden's energy that are summed one by one, as runs fastest; the compile time of more would grow with their number
-_UNROLLED = 6
-_MOST_TERMS = 100
-_LARGEST_EXPONENT = 1e3
-_LEAST = 1e-2  # stretches below are not met by a membrane in tension; the powers stay finite
-
-
 class MooneyRivlin(AbstractMaterial):
     """W = c1 (λ1² + λ2² + λ3² − 3) + c2 (λ1⁻² + λ2⁻² + λ3⁻² − 3), λ3 = 1/(λ1 λ2).
 
@@ -467,15 +463,15 @@ class MooneyRivlin(AbstractMaterial):
             check_modulus("`c1` and `c2`", 2 * (float(self.c1) + float(self.c2)))
 
     def energy(self, l1, l2):
-        a, b = jnp.maximum(l1, _LEAST), jnp.maximum(l2, _LEAST)
+        a, b = jnp.maximum(l1, LEAST_STRETCH), jnp.maximum(l2, LEAST_STRETCH)
         second = a**-2 + b**-2 + (a * b) ** 2 - 3
         return self.c1 * first_invariant_minus_3(a, b) + self.c2 * second
 
     def admissible(self, l1, l2):
-        return (l1 > _LEAST) & (l2 > _LEAST)
+        return (l1 > LEAST_STRETCH) & (l2 > LEAST_STRETCH)
 
     def lock_up_stretch(self, prestretch):
-        return 12 * prestretch, False
+        return UNLIMITED_STRETCH * prestretch, False
 
 
 def _column(values, dimensions: int):
@@ -509,14 +505,14 @@ class Ogden(AbstractMaterial):
             raise ValueError(
                 f"`moduli` must be as many numbers as `exponents`, but are {len(self.moduli)} and {len(self.exponents)}."
             )
-        if len(self.moduli) > _MOST_TERMS:
-            raise ValueError(f"`moduli` must be at most {_MOST_TERMS} numbers, but are {len(self.moduli)}.")
+        if len(self.moduli) > MOST_TERMS:
+            raise ValueError(f"`moduli` must be at most {MOST_TERMS} numbers, but are {len(self.moduli)}.")
         if not all(is_concrete(v) for v in (*self.moduli, *self.exponents)):
             return
         for name in ("moduli", "exponents"):
             values = np.asarray(getattr(self, name))
-            most = LARGEST if name == "moduli" else _LARGEST_EXPONENT
-            wrong = ~(np.abs(values) <= most) | ((name == "exponents") & (np.abs(values) < 1 / _LARGEST_EXPONENT))
+            most = LARGEST if name == "moduli" else LARGEST_EXPONENT
+            wrong = ~(np.abs(values) <= most) | ((name == "exponents") & (np.abs(values) < 1 / LARGEST_EXPONENT))
             if wrong.any():
                 allowed = f"at most {most:g}" if name == "moduli" else f"not zero, from {1 / most:g} to {most:g}"
                 raise ValueError(
@@ -528,22 +524,22 @@ class Ogden(AbstractMaterial):
         check_modulus("`moduli`", modulus)
 
     def energy(self, l1, l2):
-        a, b = jnp.maximum(l1, _LEAST), jnp.maximum(l2, _LEAST)
+        a, b = jnp.maximum(l1, LEAST_STRETCH), jnp.maximum(l2, LEAST_STRETCH)
         logs = jnp.log(a), jnp.log(b), -jnp.log(a) - jnp.log(b)
 
         def term(m, x):
             return m / x * sum(jnp.expm1(x * log) for log in logs)
 
-        if len(self.moduli) <= _UNROLLED:
+        if len(self.moduli) <= UNROLLED_TERMS:
             return sum(map(term, self.moduli, self.exponents))
         m, x = (_column(values, jnp.ndim(logs[2])) for values in (self.moduli, self.exponents))
         return jnp.sum(term(m, x), axis=0)
 
     def admissible(self, l1, l2):
-        return (l1 > _LEAST) & (l2 > _LEAST)
+        return (l1 > LEAST_STRETCH) & (l2 > LEAST_STRETCH)
 
     def lock_up_stretch(self, prestretch):
-        return 12 * prestretch, False
+        return UNLIMITED_STRETCH * prestretch, False
 
 
 @elementwise

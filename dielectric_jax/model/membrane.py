@@ -26,15 +26,10 @@ from .materials import (
     largest_load,
     stresses,
 )
+from .resolution import LARGEST_PRESTRETCH, STIFF_PRESSURE, STIFF_SLOPE, STIFFENING_NODES
 from .units import VHB_4910, Scalar, Units, as_scalar, is_concrete
 
 __all__ = ["Membrane", "Profile", "vhb_4910"]
-
-
-_LARGEST_PRESTRETCH = 1e4  # far above any; p λ0³ of a film without limit is still resolved
-_STIFF = 100.0  # balloon pressure 2 s/λ² at which the window ends: a Gent film at lock-up reaches 124 at most
-_STEEP = 210.0  # (λ − 1) ds/dλ / s, likewise: a Gent film at lock-up reaches 201
-_NODES = 512
 
 
 @functools.lru_cache(maxsize=512)
@@ -42,13 +37,13 @@ def _stiffening(tree, numbers: tuple, largest: float) -> float:
     """The largest stretch up to `largest` below which the equal-biaxial tension s of a material keeps its bounds."""
     material = jax.tree.unflatten(tree, numbers)
     low, high = 1.0, largest
-    even = np.linspace(0.0, 1.0, _NODES + 1)[1:]
+    even = np.linspace(0.0, 1.0, STIFFENING_NODES + 1)[1:]
     for shares in (even**2, even, even, even):  # down to rounding
         stretch = low + (high - low) * shares
         tension, _, s11, s12 = map(np.asarray, stresses(material, stretch, stretch, 0.0))
         with np.errstate(all="ignore"):
-            good = (tension > 0) & (2 * tension <= _STIFF * stretch**2)
-            good &= (stretch - 1) * (s11 + s12) <= _STEEP * tension
+            good = (tension > 0) & (2 * tension <= STIFF_PRESSURE * stretch**2)
+            good &= (stretch - 1) * (s11 + s12) <= STIFF_SLOPE * tension
         if good.all():
             return high
         last = int(np.argmin(good))
@@ -91,8 +86,8 @@ class Membrane(eqx.Module):
             prestretch = float(self.prestretch)
             if not prestretch >= 1:
                 raise ValueError(f"`prestretch` must be at least 1, but is {prestretch!r}.")
-            if prestretch > _LARGEST_PRESTRETCH:
-                raise ValueError(f"`prestretch` must be at most {_LARGEST_PRESTRETCH:g}, but is {prestretch!r}.")
+            if prestretch > LARGEST_PRESTRETCH:
+                raise ValueError(f"`prestretch` must be at most {LARGEST_PRESTRETCH:g}, but is {prestretch!r}.")
             leaves = jax.tree.leaves(self.material)
             if all(is_concrete(leaf) for leaf in leaves):
                 limit, _ = window_end(self.material, prestretch)

@@ -13,16 +13,15 @@ import numpy as np
 from ..numerics import cached_jit
 from .materials import ArrudaBoyce, Gent, NeoHookean, stresses
 from .membrane import Membrane, field_ratio_squared, slopes
+from .resolution import CHUNK, MOST_KINDS, TRAIL_BLOCK
 from .shooting import UNKNOWNS, eighth_order_step, integrate_membrane
 
 __all__ = ["careful_program", "charge_program", "compile_ahead", "jacobian_program", "run_chunks", "value_program"]
 
-CHUNK = 32  # lanes of one call; one compiled program serves every count of points
-
 
 @cached_jit
 def jacobian_program(material, u, steps):
-    """lag, V, their columns by (λa, p, q), and the number of zeros of ∂λ2/∂λa in 0 < R < 1."""
+    """λ2(1) − λa, V, their columns by (λa, p, q), and the number of zeros of ∂λ2/∂λa in 0 < R < 1."""
     apex, p, q = u
     shot = integrate_membrane(material, apex, p, q, steps, sensitivities=UNKNOWNS, trail="sensitivity")
     times, sensitivity = shot.trail
@@ -64,12 +63,9 @@ def _least_inside(values, rates):
     return jnp.min(least, axis=0), node + 1, jnp.take_along_axis(x, node[None], axis=0)[0]
 
 
-_BLOCK = 32  # steps of a trail that are searched together; only as many blocks as there are steps
-
-
 @cached_jit
 def careful_program(membrane, u, exponent):
-    """lag, V, height and C = Q/Φ by adaptive steps."""
+    """λ2(1) − λa, V, height and C = Q/Φ by adaptive steps."""
     apex, p, q = u
     shot = integrate_membrane(membrane.material, apex, p, q, exponent, outputs=True, adaptive=True)
     return shot.stretch_change, shot.volume, shot.height, shot.charge
@@ -77,13 +73,13 @@ def careful_program(membrane, u, exponent):
 
 @cached_jit
 def value_program(membrane, u, steps):
-    """lag, V, height, C = Q/Φ, least σ2 and largest (E/E_EB)²/q along the membrane, stretches admissible, and elliptic."""
+    """λ2(1) − λa, V, height, C = Q/Φ, least σ2 and largest (E/E_EB)²/q along the membrane, stretches admissible, and elliptic."""
     apex, p, q = u
     material = membrane.material
     shot = integrate_membrane(material, apex, p, q, steps, outputs=True, trail="profile")
     times, values, along = shot.trail
     # blocks overlap by two nodes, so that every inner node has both neighbours in one
-    padding = -(len(times) - 2) % _BLOCK
+    padding = -(len(times) - 2) % TRAIL_BLOCK
     times = jnp.pad(times, (0, padding), constant_values=jnp.inf)
     values = jnp.pad(values, ((0, padding), (0, 0), (0, 0)))
 
@@ -104,9 +100,9 @@ def value_program(membrane, u, steps):
 
     def search(block, found):
         least, places, admissible, elliptic = found
-        begin = block * _BLOCK
-        tau = jax.lax.dynamic_slice_in_dim(times, begin, _BLOCK + 2)
-        rows = jax.lax.dynamic_slice_in_dim(values, begin, _BLOCK + 2)
+        begin = block * TRAIL_BLOCK
+        tau = jax.lax.dynamic_slice_in_dim(times, begin, TRAIL_BLOCK + 2)
+        rows = jax.lax.dynamic_slice_in_dim(values, begin, TRAIL_BLOCK + 2)
         done = jnp.isfinite(tau)[:, None]
         radius, stretching, l1, l2, theta = along.rows(tau, jnp.where(done[..., None], rows, 0.0))
         rate1, rate2, _ = slopes(material, radius, l1, l2, theta, p, q)
@@ -127,7 +123,9 @@ def value_program(membrane, u, steps):
     count = jnp.sum(jnp.isfinite(times))
     nowhere = (jnp.zeros(apex.shape, int), jnp.zeros(apex.shape))
     begin = [f(apex, apex) for f in functions], [nowhere] * 2, material.admissible(apex, apex), is_elliptic(apex, apex)
-    least, places, admissible, elliptic = jax.lax.fori_loop(0, (count - 2 + _BLOCK - 1) // _BLOCK, search, begin)
+    least, places, admissible, elliptic = jax.lax.fori_loop(
+        0, (count - 2 + TRAIL_BLOCK - 1) // TRAIL_BLOCK, search, begin
+    )
 
     def rates(tau, y):
         radius, stretching = along.position(tau)
@@ -161,7 +159,6 @@ def threads() -> concurrent.futures.ThreadPoolExecutor:
 
 
 _compiling: collections.OrderedDict = collections.OrderedDict()
-_MOST_KINDS = 16  # of membranes whose compiling is remembered
 
 
 def compile_ahead(membrane: Membrane, more: tuple[Callable, ...] = ()) -> None:
@@ -177,7 +174,7 @@ def compile_ahead(membrane: Membrane, more: tuple[Callable, ...] = ()) -> None:
         pool = concurrent.futures.ThreadPoolExecutor(len(jobs))
         _compiling[key] = [pool.submit(job) for job in jobs]
         pool.shutdown(wait=False)
-        while len(_compiling) > _MOST_KINDS:
+        while len(_compiling) > MOST_KINDS:
             _compiling.popitem(last=False)
 
 

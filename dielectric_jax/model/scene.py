@@ -37,11 +37,10 @@ from .materials import (
 )
 from .membrane import Membrane
 from .parameters import PARAMETERS, parameter_of, place_of
+from .resolution import SCANNED_LOAD
 from .units import Units, is_concrete
 
 __all__ = ["Scene", "Window", "describe", "pair"]
-
-SCANNED_LOAD = 0.9  # the scan covers load fractions up to this
 
 
 def constants_of(material) -> list[str]:

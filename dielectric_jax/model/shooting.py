@@ -26,13 +26,10 @@ from jaxtyping import Array, Float
 from ..numerics import cached_jit, sine_cosine, softplus
 from .materials import AbstractMaterial, capacitance, is_concrete, stresses
 from .membrane import apex_series, slopes
+from .resolution import FEW_RATES, GRID_WIDTH, MOST_ADAPTIVE_STEPS, MOST_STEPS, SERIES_RADIUS
 
 __all__ = ["Rim", "Shot", "shoot"]
 
-_START = 4e-4  # R at which the apex series hands over, in units of A; the series' error is its fourth power
-_WIDTH = 0.12  # w above, measured: 32 steps of Dopri8 leave 8e-11 for t < 0.5, 48 leave 3e-12
-MOST_STEPS = 320
-_FEW = 6  # states that are written one by one
 UNKNOWNS = ("apex_stretch", "pressure", "voltage_squared")
 
 
@@ -41,8 +38,8 @@ class EvenSteps(dfx.ConstantStepSize):
 
     steps: Float[Array, ""]
 
-    def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
-        return super().init(terms, t0, t1, y0, (t1 - t0) / self.steps, args, func, error_order)
+    def init(self, terms, t0, t1, y0, dt0, *args, **kwargs):
+        return super().init(terms, t0, t1, y0, (t1 - t0) / self.steps, *args, **kwargs)
 
 
 class EighthOrder(dfx.AbstractSolver):
@@ -75,7 +72,7 @@ def eighth_order_step(field: Callable, t, h, y):
 
     def stage(i, k):
         rates = field(t + nodes[i] * h, y + h * jnp.tensordot(matrix[i], k, 1))
-        if len(rates) > _FEW:
+        if len(rates) > FEW_RATES:
             return k.at[i].set(rates)
         for j, rate in enumerate(rates):  # XLA would compute them all in one loop without vectors
             k = k.at[i, j].set(rate)
@@ -101,7 +98,7 @@ def graded_map(scale, start):
     """x(τ) = A sinh(w softplus(s(τ))) from `start` at τ = 0 to 1 at τ = 1, and dx/dτ, with A = `scale`."""
 
     def inverse(x):
-        u = jnp.arcsinh(x / scale) / _WIDTH
+        u = jnp.arcsinh(x / scale) / GRID_WIDTH
         return u + jnp.log(-jnp.expm1(-u))
 
     first = inverse(start)
@@ -109,9 +106,9 @@ def graded_map(scale, start):
 
     def position(tau):
         soft, rate = softplus(first + span * tau)
-        rise = jnp.expm1(_WIDTH * soft)
+        rise = jnp.expm1(GRID_WIDTH * soft)
         e = 1 + rise  # sinh and cosh from one exponential: this runs at every stage
-        return scale * (rise + rise / e) / 2, scale * (e + 1 / e) / 2 * (_WIDTH * span) * rate
+        return scale * (rise + rise / e) / 2, scale * (e + 1 / e) / 2 * (GRID_WIDTH * span) * rate
 
     return position
 
@@ -149,7 +146,7 @@ def integrate(
         saveat=dfx.SaveAt(subs=subs),
         adjoint=dfx.ForwardMode(),
         stepsize_controller=controller,
-        max_steps=MOST_STEPS + 1 if not adaptive else 2048,
+        max_steps=MOST_STEPS + 1 if not adaptive else MOST_ADAPTIVE_STEPS,
         throw=False,
     )
     assert solution.ys is not None
@@ -173,8 +170,8 @@ class Shot(typing.NamedTuple):
     """What a shot returns; every entry has the shape of a lane, columns a leading axis of the asked directions.
 
     `stretch_change` is λ2(1) − λa without cancellation, `height` z(1), `charge` C = Q/Φ. `sensitivities` maps a direction to
-    (∂lag, ∂volume), with `outputs` (∂lag, ∂volume, ∂C). `trail` holds what was recorded after every step: times τ (inf once done) and ∂λ2/∂λa; or times,
-    raw values, and the `Along` that reads them.
+    (∂stretch_change, ∂volume), with `outputs` (∂stretch_change, ∂volume, ∂C). `trail` holds what was recorded after every step: times τ
+    (inf once done) and ∂λ2/∂λa; or times, raw values, and the `Along` that reads them.
     """
 
     stretch_change: Array
@@ -192,6 +189,132 @@ class Rim(typing.NamedTuple):
     volume: Array
 
 
+class _Inputs(typing.NamedTuple):
+    """What a shot depends on: the leaves of the material, and λa, p, q. A direction names one of them.
+
+    It is a name of `UNKNOWNS`, or the index of a leaf.
+    """
+
+    leaves: list
+    unknowns: list
+
+    def entry(self, direction):
+        """The value that a direction changes."""
+        if isinstance(direction, str):
+            return self.unknowns[UNKNOWNS.index(direction)]
+        return jnp.asarray(self.leaves[direction], float)
+
+    def replace(self, direction, value) -> "_Inputs":
+        """The inputs with another value there."""
+        which, k = (1, UNKNOWNS.index(direction)) if isinstance(direction, str) else (0, direction)
+        changed = [*self[which][:k], value, *self[which][k + 1 :]]
+        return _Inputs(self.leaves, changed) if which else _Inputs(changed, self.unknowns)
+
+
+class _Equations(typing.NamedTuple):
+    """The equations of a kind of material for y = (λ1 − λa, λ2 − λa, θ, V[, z, C]), the last two with `outputs`.
+
+    `first` is the radius at which the series at the apex hands over.
+    """
+
+    material: typing.Any  # its tree structure
+    first: Array
+    outputs: bool
+
+    def at_first(self, inputs: _Inputs) -> list:
+        """y at the radius `first`, by the series at the apex."""
+        first, (apex, p, q) = self.first, inputs.unknowns
+        material = self.material.unflatten(inputs.leaves)
+        a, b, k = apex_series(material, apex, p, q)
+        l1, l2 = apex + a * first**2, apex + b * first**2
+        s1 = stresses(material, l1, l2, q)[0]
+        slope = jnp.arcsin(p * first * l2**2 / (2 * s1))  # first integral (13)
+        y = [a * first**2, b * first**2, slope, jnp.pi / 4 * apex**3 * k * first**4]
+        if self.outputs:
+            y += [apex * k * first**2 / 2, jnp.pi * capacitance(material, apex, apex) * first**2]
+        return y
+
+    def rates(self, radius, y, inputs: _Inputs) -> list:
+        """dy/dR."""
+        apex, p, q = inputs.unknowns
+        material = self.material.unflatten(inputs.leaves)
+        l1, l2, slope = apex + y[0], apex + y[1], y[2]
+        rise = l1 * sine_cosine(slope)[0]
+        rate = [*slopes(material, radius, l1, l2, slope, p, q), jnp.pi * (radius * l2) ** 2 * rise]
+        if self.outputs:
+            rate += [rise, 2 * jnp.pi * capacitance(material, l1, l2) * radius]
+        return rate
+
+
+class _Variation(typing.NamedTuple):
+    """The state and its derivatives in `directions` as one system: y (states, …), then as many rows for each direction."""
+
+    equations: _Equations
+    inputs: _Inputs
+    directions: list
+
+    @property
+    def states(self) -> int:
+        return 6 if self.equations.outputs else 4
+
+    def _derivative(self, function: Callable, y, tangent, direction):
+        """function(y, inputs) and its derivative along `tangent` and by the one input that the direction names."""
+
+        def changed(y, value):
+            return function(y, self.inputs.replace(direction, value))
+
+        value = self.inputs.entry(direction)
+        return jax.jvp(changed, (y, value), (tangent, jnp.ones_like(value)))
+
+    def _stack(self, rows: list):
+        shape = self.inputs.unknowns[0].shape
+        return jnp.stack([jnp.broadcast_to(v, shape) for v in rows])
+
+    def start(self):
+        """The values at the first radius."""
+        zero = [jnp.zeros(self.inputs.unknowns[0].shape)] * self.states
+        rows = self.equations.at_first(self.inputs)
+        for direction in self.directions:
+            rows = rows + self._derivative(lambda y, inputs: self.equations.at_first(inputs), zero, zero, direction)[1]
+        return self._stack(rows)
+
+    def rates(self, radius, y):
+        """d/dR of the values."""
+        n = self.states
+        state, out = [y[i] for i in range(n)], []
+        for i, direction in enumerate(self.directions):
+            tangent = [y[n * (i + 1) + j] for j in range(n)]
+            value, change = self._derivative(
+                lambda y, inputs: self.equations.rates(radius, y, inputs), state, tangent, direction
+            )
+            out += change if i else value + change
+        return self._stack(out or self.equations.rates(radius, state, self.inputs))
+
+    def recorded(self, trail: str | None, heights: bool) -> Callable | None:
+        """What of the values a `trail` of `integrate_membrane` holds."""
+        if trail == "sensitivity":
+            row = self.states * (1 + self.directions.index("apex_stretch")) + 1
+            return lambda y: 1.0 + y[row]
+        return {
+            None: None,
+            "profile": lambda y: jnp.concatenate([y[:3], y[4:5]]) if heights else y[:3],
+            "states": lambda y: y[: self.states],
+            "all": lambda y: y,
+        }[trail]
+
+    def sensitivities(self, end, pressure: bool) -> dict:
+        """The derivatives of λ2, V[, C] at the rim in every direction, and with `pressure` those by p, which scaling gives."""
+        wanted = (1, 3, 5) if self.equations.outputs else (1, 3)
+        found = {d: tuple(end[self.states * (i + 1) + j] for j in wanted) for i, d in enumerate(self.directions)}
+        if pressure:
+            apex, p, _ = self.inputs.unknowns
+            rate = self.equations.rates(jnp.ones(apex.shape), [end[i] for i in range(self.states)], self.inputs)
+            # scaling: λ2 depends on pR alone, V p³ and C p² likewise; at p = 0 the limits are 0 and V/p, which no lane asks for
+            powers = {1: 0, 3: 3, 5: 2}
+            found["pressure"] = tuple((rate[j] - powers[j] * end[j]) / p for j in wanted)
+        return found
+
+
 def integrate_membrane(
     material: AbstractMaterial,
     apex_stretch: typing.Any,
@@ -204,112 +327,32 @@ def integrate_membrane(
     trail: str | None = None,
     heights: bool = False,
     adaptive: bool = False,
-    start: float = _START,
+    start: float = SERIES_RADIUS,
 ) -> Shot:
     """One integration from apex to rim at R = 1.
 
     `sensitivities` lists the wanted derivatives: names of `UNKNOWNS`, or the index of a leaf of `material`. `outputs` adds
-    height and charge to the state and to the derivatives, `trail` the values after every step: "sensitivity", "profile" (with z as its last entry where `heights` is asked for), the whole "states", or "all" with the columns. `start` is where the apex series hands over, as a share of A.
+    height and charge to the state and to the derivatives, `trail` the values after every step: "sensitivity", "profile"
+    (with z as its last entry where `heights` is asked for), the whole "states", or "all" with the columns. `start` is where
+    the apex series hands over, as a share of A.
     """
     inputs = jnp.broadcast_arrays(*(jnp.asarray(v, float) for v in (apex_stretch, pressure, q)))
     kappa = jax.lax.stop_gradient(apex_series(material, *inputs)[2])
     scale = jnp.minimum(1 / kappa, 1.0)
     first = start * scale
     position = graded_map(scale, first)
-    leaves, treedef = jax.tree.flatten(material)
-
-    def series(theta):
-        leaves, (apex, p, q) = theta
-        material = treedef.unflatten(leaves)
-        a, b, k = apex_series(material, apex, p, q)
-        l1, l2 = apex + a * first**2, apex + b * first**2
-        s1 = stresses(material, l1, l2, q)[0]
-        slope = jnp.arcsin(p * first * l2**2 / (2 * s1))  # first integral (13)
-        y = [a * first**2, b * first**2, slope, jnp.pi / 4 * apex**3 * k * first**4]
-        if outputs:
-            y += [apex * k * first**2 / 2, jnp.pi * capacitance(material, apex, apex) * first**2]
-        return y
-
-    def rates(radius, y, theta):
-        """d/dR of (λ1 − λa, λ2 − λa, θ, V[, z, C])."""
-        leaves, (apex, p, q) = theta
-        l1, l2, slope = apex + y[0], apex + y[1], y[2]
-        rise = l1 * sine_cosine(slope)[0]
-        rate = [
-            *slopes(treedef.unflatten(leaves), radius, l1, l2, slope, p, q),
-            jnp.pi * (radius * l2) ** 2 * rise,
-        ]
-        if outputs:
-            rate += [rise, 2 * jnp.pi * capacitance(treedef.unflatten(leaves), l1, l2) * radius]
-        return rate
-
-    theta = (leaves, list(inputs))
-    states = 6 if outputs else 4
-    integrated = [c for c in sensitivities if c != "pressure"]
-
-    def along(function, y, tangent, column):
-        """JVP of function(y, theta) in the column's direction; only its own entry of theta moves."""
-        if isinstance(column, str):
-            k = UNKNOWNS.index(column)
-
-            def moved(y, v):
-                return function(y, (leaves, [*theta[1][:k], v, *theta[1][k + 1 :]]))
-
-            value = theta[1][k]
-        else:
-
-            def moved(y, v):
-                return function(y, ([*leaves[:column], v, *leaves[column + 1 :]], theta[1]))
-
-            value = jnp.asarray(leaves[column], float)
-        return jax.jvp(moved, (y, value), (tangent, jnp.ones_like(value)))
-
-    shape = inputs[0].shape
-    zero = [jnp.zeros(shape)] * states
-    begin = [jnp.broadcast_to(v, shape) for v in series(theta)]
-    for column in integrated:
-        tangent = along(lambda y, theta: series(theta), zero, zero, column)[1]
-        begin += [jnp.broadcast_to(v, shape) for v in tangent]
+    leaves, structure = jax.tree.flatten(material)
+    directions = [d for d in sensitivities if d != "pressure"]
+    system = _Variation(_Equations(structure, first, outputs), _Inputs(leaves, list(inputs)), directions)
 
     def field(tau, y):
         radius, stretching = position(tau)
-        state = [y[i] for i in range(states)]
-        out = []
-        for i, column in enumerate(integrated):
-            tangent = [y[states * (i + 1) + j] for j in range(states)]
-            value, moved = along(lambda y, theta: rates(radius, y, theta), state, tangent, column)
-            if i == 0:
-                out += value
-            out += moved
-        if not integrated:
-            out = rates(radius, state, theta)
-        return stretching * jnp.stack([jnp.broadcast_to(v, shape) for v in out])
+        return stretching * system.rates(radius, y)
 
-    apex_at = states * (1 + integrated.index("apex_stretch")) if "apex_stretch" in integrated else None
-
-    record = {
-        None: None,
-        "sensitivity": lambda y: 1.0 + y[(apex_at or 0) + 1],
-        "profile": lambda y: jnp.concatenate([y[:3], y[4:5]]) if heights else y[:3],
-        "states": lambda y: y[:states],
-        "all": lambda y: y,
-    }[trail]
-    end, marks = integrate(field, jnp.stack(begin), steps, trail=record, adaptive=adaptive)
-    found = {}
-    wanted = (1, 3, 5) if outputs else (1, 3)
-    for i, column in enumerate(integrated):
-        at = states * (i + 1)
-        found[column] = tuple(end[at + j] for j in wanted)
-    if "pressure" in sensitivities:
-        rate = rates(jnp.ones(shape), [end[i] for i in range(states)], theta)
-        # scaling: λ2 depends on pR alone, V p³ and C p² likewise; at p = 0 the limits are 0 and V/p, which no lane asks for
-        powers = {1: 0, 3: 3, 5: 2}
-        found["pressure"] = tuple((rate[j] - powers[j] * end[j]) / inputs[1] for j in wanted)
-    if trail in ("profile", "states", "all"):
-        assert marks is not None
-        times, values = marks
-
-        marks = (times, values, Along(position, inputs[0]))
+    end, marks = integrate(field, system.start(), steps, trail=system.recorded(trail, heights), adaptive=adaptive)
+    found = system.sensitivities(end, "pressure" in sensitivities)
+    if marks is not None and trail != "sensitivity":
+        marks = (*marks, Along(position, inputs[0]))
     height, charge = (end[4], end[5]) if outputs else (None, None)
     return Shot(end[1], end[3], height, charge, found, marks)
 
@@ -317,15 +360,15 @@ def integrate_membrane(
 def shoot(material: AbstractMaterial, apex_stretch, pressure, voltage_squared, *, steps: float = 32.0) -> Rim:
     """λ2(1) − λa and V of the membrane shot from (apex_stretch, pressure, voltage_squared) to R = 1.
 
-    An equilibrium has lag = prestretch − apex_stretch. Differentiable in every argument by jvp, jacfwd, grad and their
+    An equilibrium has stretch_change = prestretch − apex_stretch. Differentiable in every argument by jvp, jacfwd, grad and their
     vmap (and once more in forward mode, so `jax.hessian` works): the rule builds the columns of the Jacobian that are
     asked for and multiplies by them, so it is linear in the tangent and transposes. `steps` is the number of steps of
     the graded grid; a state of `equilibrium` carries an error estimate, a shot none.
 
     >>> import jax
     >>> from dielectric_jax import Gent
-    >>> lag = lambda p: shoot(Gent(), 2.0, p, 0.0).lag
-    >>> bool(abs(jax.grad(lag)(1.9) - (lag(1.9 + 1e-5) - lag(1.9 - 1e-5)) / 2e-5) < 1e-8)
+    >>> change = lambda p: shoot(Gent(), 2.0, p, 0.0).stretch_change
+    >>> bool(abs(jax.grad(change)(1.9) - (change(1.9 + 1e-5) - change(1.9 - 1e-5)) / 2e-5) < 1e-8)
     True
     """
     inputs = material, apex_stretch, pressure, voltage_squared

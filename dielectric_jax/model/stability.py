@@ -21,16 +21,11 @@ from .materials import stresses
 from .membrane import Membrane
 from .programs import run_chunks
 from .records import State
+from .resolution import EQUILIBRIUM, GRID_DOUBT, LEAST_ESTIMATE, STABILITY_GRIDS, STATE_DOUBT
 from .scene import Scene
 from .shooting import UNKNOWNS, integrate_membrane
 
 __all__ = ["Stability", "control_rate", "index_of", "index_under", "stability_of"]
-
-LEAST_ERROR = 1e-13
-_GRIDS = (160.0, 320.0)  # steps; what the two tell differently is not told
-_DOUBT = 20.0  # times the change between the grids: what is smaller has no sign
-_STATE_DOUBT = 100.0  # times the error of the state, relative to the terms of a determinant: likewise
-_EQUILIBRIUM = 1e-5  # largest defect at the rim of a state that is one, relative to λa, or to p or q in these
 
 
 def index_of(zeros, jacobian, sensitivities, volume, condition, charge=None):
@@ -114,7 +109,7 @@ class Stability:
 def _survey_program(material, u, steps):
     """What stability needs of lanes u (3, lanes).
 
-    lag, V, C, columns (3, 3, lanes), zeros; R and σ2 after every step, padded with NaN; least σ1 and ∂s1/∂λ1.
+    λ2(1) − λa, V, C, columns (3, 3, lanes), zeros; R and σ2 after every step, padded with NaN; least σ1 and ∂s1/∂λ1.
     """
     apex, p, q = u
     shot = integrate_membrane(material, apex, p, q, steps, sensitivities=UNKNOWNS, outputs=True, trail="all")
@@ -182,7 +177,7 @@ def _flat(membrane: Membrane, state: State) -> Stability:
     Its C = π λ0⁴ and V = 0 do not depend on the load, so that every loading gives the same.
     """
     stretch = float(membrane.prestretch)
-    if state.pressure != 0 or abs(state.apex_stretch - stretch) > _EQUILIBRIUM:
+    if state.pressure != 0 or abs(state.apex_stretch - stretch) > EQUILIBRIUM:
         raise ValueError(f"`state` must be an equilibrium of the membrane, but is {state!r}.")
     s1, s2, s11, _ = (float(v) for v in stresses(membrane.material, stretch, stretch, state.voltage_squared))
     reasons = tuple(name for name, lost in (("no_tension", s1 <= 0), ("not_elliptic", s11 <= 0)) if lost)
@@ -206,7 +201,9 @@ def survey(membrane: Membrane, states: list[State]) -> list:
     u = np.array([[s.apex_stretch, s.pressure, s.voltage_squared] for s in states]).T.reshape(3, -1)
     if not states:
         return []
-    return [run_chunks(lambda part, n=steps: _survey_program(membrane.material, part, n), u) for steps in _GRIDS]
+    return [
+        run_chunks(lambda part, n=steps: _survey_program(membrane.material, part, n), u) for steps in STABILITY_GRIDS
+    ]
 
 
 def judge(what: Scene | Membrane, states: list[State], surveys: list) -> list[Stability]:
@@ -219,7 +216,7 @@ def judge(what: Scene | Membrane, states: list[State], surveys: list) -> list[St
     charged = isinstance(what, Scene) and isinstance(what.loading, ChargeControl)
     given = q, *_weights(what, states), charged
     (coarse, rough, _), (index, sign, size) = (_index_and_sign(found, *given) for found in surveys)
-    error = np.maximum([s.error_estimate for s in states], LEAST_ERROR)
+    error = np.maximum([s.error_estimate for s in states], LEAST_ESTIMATE)
     stretch_change, _, _, sensitivities, zeros, radius, hoop, tension, modulus = surveys[1]
     with np.errstate(all="ignore"):
         defect = np.abs(stretch_change - (float(membrane.prestretch) - apex)) / apex
@@ -227,14 +224,14 @@ def judge(what: Scene | Membrane, states: list[State], surveys: list) -> list[St
         reach = np.maximum(np.abs(sensitivities[1, 0] * pressure), np.abs(sensitivities[2, 0] * q))
         off = np.minimum(defect, defect * apex / reach)
         # beyond t of about 0.99 a shot may blow up every error: then the grids differ
-        agreed = np.abs(stretch_change - surveys[0][0]) / apex < 0.01 * defect + 0.1 * _EQUILIBRIUM
-        doubt = np.maximum(_DOUBT * np.abs(sign - rough), _STATE_DOUBT * error * size)
+        agreed = np.abs(stretch_change - surveys[0][0]) / apex < 0.01 * defect + 0.1 * EQUILIBRIUM
+        doubt = np.maximum(GRID_DOUBT * np.abs(sign - rough), STATE_DOUBT * error * size)
         near = np.abs(sign) <= doubt
     found = []
     for i, state in enumerate(states):
-        if off[i] > _EQUILIBRIUM and agreed[i]:
+        if off[i] > EQUILIBRIUM and agreed[i]:
             raise ValueError(f"`state` must be an equilibrium of the membrane, but is {state!r}.")
-        if not (defect[i] < _EQUILIBRIUM and agreed[i] and np.isfinite(sign[i])):
+        if not (defect[i] < EQUILIBRIUM and agreed[i] and np.isfinite(sign[i])):
             found.append(Stability(None, ("unresolved",), *[np.nan] * 4))
             continue
         told = abs(zeros[i] - surveys[0][4][i]) < 2

@@ -1,9 +1,10 @@
 from .cache import cache_folder, enable_compilation_cache, enabled_folder, is_own, make_folder
-from .codes import LARGEST, Code, SceneError, StoreError, WorkersLost, check_between, check_positive, check_whole, shown
+from .codes import Code, SceneError, StoreError, WorkersLost, check_between, check_positive, check_whole, shown
 from .compiled import cached_jit, elementwise, of_this_package, source_digest
 from .continuation import Problem, Steps, Trace, Walk, advance, begin, trace
 from .elementary import log1p, reciprocal, sine_cosine, softplus
 from .locks import Locked, alone
+from .resolution import LARGEST
 
 __all__ = [
     "LARGEST",

@@ -8,6 +8,8 @@ import enum
 import math
 import numbers
 
+from .resolution import LARGEST
+
 __all__ = ["Code", "SceneError", "StoreError", "WorkersLost", "check_between", "check_positive", "check_whole", "shown"]
 
 
@@ -113,10 +115,6 @@ class StoreError(OSError):
 
 class WorkersLost(RuntimeError):
     """Workers died again and again, or could not compute a block; the message is one sentence."""
-
-
-#: no number that a user gives may be larger: squares and products of several must not overflow
-LARGEST = 1e50
 
 
 def check_positive(name: str, value: float, *, zero: bool = False) -> None:

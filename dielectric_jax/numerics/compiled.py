@@ -25,14 +25,12 @@ import numpy as np
 from jax.experimental import serialize_executable
 
 from .cache import enabled_folder, is_own, make_folder, write_own
+from .resolution import LANES, MOST_LIVE, MOST_SHELVED, VECTOR_WIDTH
 
 __all__ = ["cached_jit", "elementwise", "of_this_package", "source_digest"]
 
-# the widest vectors that the processor has; XLA would take half of them on many
-_OPTIONS: typing.Any = {"xla_cpu_prefer_vector_width": 512}
+_OPTIONS: typing.Any = {"xla_cpu_prefer_vector_width": VECTOR_WIDTH}
 _PACKAGE = __name__.split(".")[0]
-_MOST_LIVE = 24e6  # bytes of optimised programs in XLA's own format; in memory a program takes some forty times its own
-_MOST_SHELVED = 100e6  # bytes of packed programs, some 0.3 MB each
 
 
 def of_this_package(value) -> bool:
@@ -90,7 +88,7 @@ class _Live:
 class Programs:
     """The programs used last, within a total size; others are packed if that is possible, or made anew when asked for."""
 
-    def __init__(self, most_live: float = _MOST_LIVE, most_shelved: float = _MOST_SHELVED):
+    def __init__(self, most_live: float = MOST_LIVE, most_shelved: float = MOST_SHELVED):
         self.most_live, self.most_shelved = most_live, most_shelved
         self._live: collections.OrderedDict = collections.OrderedDict()
         self._shelf: collections.OrderedDict = collections.OrderedDict()
@@ -201,7 +199,7 @@ def cached_jit(function: Callable) -> Callable:
     return call
 
 
-def elementwise(function: Callable, *, lanes: int = 512) -> Callable:
+def elementwise(function: Callable, *, lanes: int = LANES) -> Callable:
     """`function(module, *values)` of numbers and arrays of any shapes, elementwise, by one compiled program of so many lanes.
 
     Results are arrays of NumPy, of the common shape of the values, and further axes of the function before it. Inside a

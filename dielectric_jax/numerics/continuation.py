@@ -23,6 +23,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from .codes import Code
+from .resolution import FIRST_TRIES, LEAST_GROWTH, MOST_CONTRACTION, MOST_GROWTH, NEWTON_TRIES
 
 __all__ = ["Problem", "Steps", "Trace", "Walk", "advance", "begin", "trace"]
 
@@ -116,8 +117,8 @@ class Problem:
     belong in it. `linearise(u, args)` gives value and Jacobian where a cheaper way than jacfwd of `residual` is known.
     `monitors(u, args)` returns quantities that may change by at most `most_change` a step, such as the logarithm of the
     distance to a point at which folds accumulate. `lengths` holds the smallest and largest step in place of those of
-    `steps`, and how far from its start the curve may be met (by default the largest step), without compiling anew; a walk
-    that meets the curve farther away ends at once.
+    `steps`, and how far from its start the curve may lie (by default the largest step), without compiling anew; a walk
+    that finds the curve farther away ends at once.
     """
 
     residual: Callable
@@ -197,12 +198,43 @@ def begin(problem: Problem, start, direction, active: typing.Any = True) -> Walk
     )
 
 
-def advance(problem: Problem, s: Walk) -> tuple[Walk, Array]:
-    """One pass: the walk after one linearisation, and whether it now stands on a new point (its `base`)."""
+class _Corrected(typing.NamedTuple):
+    """The trial point after one step of Newton, and what step control asks of it.
+
+    `size` is the length of the step, `settled` whether Newton has converged; `turn` is the angle between the tangents,
+    `offset` the distance from the prediction, `change` that of the monitors `watched` since the last point.
+    """
+
+    point: Array
+    tangent: Array
+    size: Array
+    settled: Array
+    turn: Array
+    offset: Array
+    watched: Array
+    change: Array
+
+
+class _Verdict(typing.NamedTuple):
+    """Whether the walk goes on, whether its trial is accepted as a point, and whether its step has failed."""
+
+    going: Array
+    accept: Array
+    failing: Array
+
+
+class _Place(typing.NamedTuple):
+    """Where a point lies: outside which margin, and whether it closes a loop; origin and heading of the walk."""
+
+    outside: Array
+    margin: Array
+    origin: Array
+    heading: Array
+    closed: Array
+
+
+def _correct(problem: Problem, s: Walk, first) -> _Corrected:
     steps = problem.steps
-    given = (steps.smallest, steps.largest, steps.largest) if problem.lengths is None else problem.lengths
-    smallest, largest, farthest = given
-    first = s.count == 0
     anchor = _predict(s.base, s.tangent, s.bend, s.step)
     value, jacobian = problem.linear(s.trial)
     move, tangent = _bordered(jacobian, value, s.tangent, s.tangent @ (s.trial - anchor))
@@ -216,62 +248,89 @@ def advance(problem: Problem, s: Walk) -> tuple[Walk, Array]:
     watched = problem.watch(corrected)
     change = jnp.max(jnp.abs(watched - s.watched))
     change = jnp.where(jnp.isfinite(change), change, jnp.inf)
-    straight = (change <= steps.most_change) & (turn <= steps.most_turn) & (offset <= steps.most_correction * s.step)
-    straight = jnp.where(first, offset <= farthest, straight)
-    finite = jnp.all(jnp.isfinite(corrected)) & jnp.all(jnp.isfinite(tangent))
-    going = s.code == int(Code.ok)
-    accept = going & finite & settled & straight
-    failing = ~finite | (settled & ~straight) | (size > 0.5 * s.last) | (s.tries >= 6)
-    # the first point is only corrected: it has no step to shorten
-    failing = jnp.where(first, ~finite | (settled & ~straight) | (s.tries >= 20), failing & ~accept)
+    return _Corrected(corrected, tangent, size, settled, turn, offset, watched, change)
 
-    inside = jnp.where(jnp.isfinite(corrected), corrected, 0.0) * problem.scale
+
+def _judge(steps: Steps, s: Walk, new: _Corrected, first, farthest) -> _Verdict:
+    straight = (new.change <= steps.most_change) & (new.turn <= steps.most_turn)
+    straight = straight & (new.offset <= steps.most_correction * s.step)
+    straight = jnp.where(first, new.offset <= farthest, straight)
+    finite = jnp.all(jnp.isfinite(new.point)) & jnp.all(jnp.isfinite(new.tangent))
+    going = s.code == int(Code.ok)
+    accept = going & finite & new.settled & straight
+    failing = ~finite | (new.settled & ~straight) | (new.size > MOST_CONTRACTION * s.last) | (s.tries >= NEWTON_TRIES)
+    # the first point is only corrected: it has no step to shorten
+    failing = jnp.where(first, ~finite | (new.settled & ~straight) | (s.tries >= FIRST_TRIES), failing & ~accept)
+    return _Verdict(going, accept, failing)
+
+
+def _place(problem: Problem, s: Walk, new: _Corrected, first) -> _Place:
+    inside = jnp.where(jnp.isfinite(new.point), new.point, 0.0) * problem.scale
     margin = problem.margins(inside, problem.args)
     outside = jnp.any(margin < 0)
     which = jnp.argmin(margin)
-    origin, heading = (jnp.where(first, a, b) for a, b in ((corrected, s.origin), (tangent, s.heading)))
-    travelled = jnp.linalg.norm(corrected - origin)
+    origin, heading = (jnp.where(first, a, b) for a, b in ((new.point, s.origin), (new.tangent, s.heading)))
+    travelled = jnp.linalg.norm(new.point - origin)
     closed = (
         (s.count > 3)
-        & (travelled <= jnp.linalg.norm(corrected - s.base))
-        & (tangent @ heading > 0.5)
-        & ((corrected - origin) @ heading >= 0)
+        & (travelled <= jnp.linalg.norm(new.point - s.base))
+        & (new.tangent @ heading > 0.5)
+        & ((new.point - origin) @ heading >= 0)
     )
+    return _Place(outside, which, origin, heading, closed)
+
+
+def _grown(steps: Steps, s: Walk, new: _Corrected, smallest, largest):
+    """The length of the step after an accepted one: so that turn, offset and change come to half of their bounds or so."""
+    ease = jnp.minimum(
+        0.5 * steps.most_turn / (new.turn + 1e-12), 0.5 * steps.most_correction * s.step / (new.offset + 1e-300)
+    )
+    ease = jnp.minimum(ease, (0.6 * steps.most_change / (new.change + 1e-12)) ** 2)
+    return jnp.clip(s.step * jnp.clip(jnp.sqrt(ease), LEAST_GROWTH, MOST_GROWTH), smallest, largest)
+
+
+def advance(problem: Problem, s: Walk) -> tuple[Walk, Array]:
+    """One pass: the walk after one linearisation, and whether it now stands on a new point (its `base`)."""
+    steps = problem.steps
+    given = (steps.smallest, steps.largest, steps.largest) if problem.lengths is None else problem.lengths
+    smallest, largest, farthest = given
+    first = s.count == 0
+    new = _correct(problem, s, first)
+    going, accept, failing = _judge(steps, s, new, first, farthest)
+    place = _place(problem, s, new, first)
     count = s.count + accept
 
-    ease = jnp.minimum(0.5 * steps.most_turn / (turn + 1e-12), 0.5 * steps.most_correction * s.step / (offset + 1e-300))
-    ease = jnp.minimum(ease, (0.6 * steps.most_change / (change + 1e-12)) ** 2)
-    grown = jnp.clip(s.step * jnp.clip(jnp.sqrt(ease), 0.5, 2.0), smallest, largest)
+    grown = _grown(steps, s, new, smallest, largest)
     step = jnp.where(accept, jnp.where(first, steps.first, grown), jnp.where(failing, 0.5 * s.step, s.step))
-    base = jnp.where(accept, corrected, s.base)
-    ahead = jnp.where(accept, tangent, s.tangent)
+    base = jnp.where(accept, new.point, s.base)
+    ahead = jnp.where(accept, new.tangent, s.tangent)
     # no bend from a step that was never taken
-    bend = jnp.where(first, 0.0, _bend(s.base, corrected, s.tangent, tangent, steps.cubic))
+    bend = jnp.where(first, 0.0, _bend(s.base, new.point, s.tangent, new.tangent, steps.cubic))
     bend = jnp.where(accept, jnp.where(jnp.all(jnp.isfinite(bend)), bend, 0.0), s.bend)
     restart = accept | failing
-    trial = jnp.where(restart, _predict(base, ahead, bend, step), corrected)
+    trial = jnp.where(restart, _predict(base, ahead, bend, step), new.point)
 
     code = jnp.asarray(int(Code.ok))
     code = jnp.where(count >= steps.most_points, int(Code.too_many_points), code)
-    code = jnp.where(accept & closed, int(Code.closed), code)
-    code = jnp.where(accept & outside, jnp.asarray([int(c) for c in problem.codes])[which], code)
+    code = jnp.where(accept & place.closed, int(Code.closed), code)
+    code = jnp.where(accept & place.outside, jnp.asarray([int(c) for c in problem.codes])[place.margin], code)
     code = jnp.where(failing & (first | (step < smallest)), int(Code.step_too_small), code)
-    new = Walk(
+    after = Walk(
         base=base,
         tangent=ahead,
         bend=bend,
         trial=trial,
-        origin=jnp.where(accept, origin, s.origin),
-        heading=jnp.where(accept, heading, s.heading),
-        watched=jnp.where(accept, watched, s.watched),
+        origin=jnp.where(accept, place.origin, s.origin),
+        heading=jnp.where(accept, place.heading, s.heading),
+        watched=jnp.where(accept, new.watched, s.watched),
         step=step,
-        last=jnp.where(restart, jnp.inf, size),
+        last=jnp.where(restart, jnp.inf, new.size),
         tries=jnp.where(restart, 0, s.tries + 1),
         count=count,
         code=code,
         evaluations=s.evaluations + 1,
     )
-    return jax.tree.map(lambda a, b: jnp.where(going, a, b), new, s), accept
+    return jax.tree.map(lambda a, b: jnp.where(going, a, b), after, s), accept
 
 
 def trace(

@@ -1,6 +1,7 @@
 from .family import SurfaceFamily
 from .files import fingerprint
-from .rows import ROWS, Conditions, Rows, crossings, rows_of
+from .resolution import ROWS
+from .rows import Conditions, Rows, crossings, rows_of
 from .surface import ById, Surface, SurfaceState, check_tolerance, pressure_and_volume
 
 __all__ = [

@@ -34,14 +34,12 @@ from ..model import (
     stresses,
 )
 from ..numerics import cached_jit, elementwise, sine_cosine
-from .elements import NODES, Element, Sampler, Task, coefficients, fresh_places, marks, node_points, read, refine
+from .elements import Element, Sampler, Task, coefficients, fresh_places, marks, node_points, read, refine
+from .resolution import COLUMNS, FRESH, LOAD_MARKS, MAP_STEPS, NODES
 
 __all__ = ["QUANTITIES", "build_elements", "columns", "edge_factors", "element", "rim_state", "surface_states"]
 
 QUANTITIES = ("pressure", "volume", "height", "charge_per_voltage", "energy")
-MAP_STEPS = 28.0  # of the explicit map, which only starts the first shots
-_COLUMNS = (0.0, 0.04, 0.12, 0.25, 0.4, 0.55, 0.7, 0.82, 0.91, 0.965, 1.0)  # shares of the stretch, to begin with
-_PANELS = (-0.3, 0.2, 0.55, 0.78)  # of t, to begin with
 
 
 def rim_state(material: AbstractMaterial, p, q, rim, end):
@@ -172,7 +170,7 @@ class AbstractBuilder(Sampler):
 class _Builder(AbstractBuilder):
     """Elements of (λa, t) for one membrane, from one shot a node."""
 
-    fresh = 12
+    fresh = FRESH
 
     def __init__(self, membrane: Membrane):
         self.material, self.rim = membrane.material, float(membrane.prestretch)
@@ -194,9 +192,9 @@ def _first_steps(load_top: float) -> float:
 def columns(low: float, high: float, bottom: float, top) -> list[Task]:
     """The rectangles (λa, t) to begin with: λa from `low` to `high`, t from `bottom` to `top(λa)`."""
     found = []
-    for apex in itertools.pairwise(low + (high - low) * np.array(_COLUMNS)):
+    for apex in itertools.pairwise(low + (high - low) * np.array(COLUMNS)):
         limit = top(np.linspace(*apex, 65)).max()
-        found += [Task((apex, load), _first_steps(load[1])) for load in marks(bottom, _PANELS, limit, 0.05)]
+        found += [Task((apex, load), _first_steps(load[1])) for load in marks(bottom, LOAD_MARKS, limit, 0.05)]
     return found
 
 

@@ -11,8 +11,9 @@ import typing
 import jax.numpy as jnp
 import numpy as np
 
+from .resolution import EDGE_ROUNDS, MOST_SHOT_STEPS, NODES, ROUNDS, STIFF_ROUNDS
+
 __all__ = [
-    "NODES",
     "Element",
     "Sampler",
     "Task",
@@ -32,12 +33,6 @@ __all__ = [
     "used",
 ]
 
-NODES = (16, 20, 16)  # of an element, along its axes
-_ROUNDS = 7
-# rounds in which a box is cut though states end in it (each more doubles the cost of a film of Ogden, exponents 1.8 and 3 to
-# 6), and though no number of steps is enough (each more costs four times the last; Mooney–Rivlin, prestretch 3.5)
-_EDGE_ROUNDS, _STIFF_ROUNDS = 3, 4
-_MOST_STEPS = 160
 
 Edges: typing.TypeAlias = tuple[tuple[float, float], ...]
 
@@ -157,15 +152,15 @@ def refine(sampler: Sampler, todo: list[Task], tolerance: float) -> list[Element
     """Elements over the boxes of `todo`, each with an error of at most half of `tolerance` at fresh states.
 
     Those that cutting does not bring there are left out: boxes without a state at once, boxes across the edge of the states
-    after `_EDGE_ROUNDS` cuts.
+    after `EDGE_ROUNDS` cuts.
     """
     done: list[Element] = []
-    for round_ in range(_ROUNDS):
+    for round_ in range(ROUNDS):
         if not todo:
             break
         settled, cut = [], []
         for e in sampler.sample(todo):
-            if e.found == 0.0 or (e.found < 1.0 and round_ >= _EDGE_ROUNDS):
+            if e.found == 0.0 or (e.found < 1.0 and round_ >= EDGE_ROUNDS):
                 continue
             (settled if max(_tails(e.coefficients)) <= 0.1 * tolerance else cut).append(e)
         todo = [task for e in cut for task in _cut(e, 0.1 * tolerance)]
@@ -175,9 +170,9 @@ def refine(sampler: Sampler, todo: list[Task], tolerance: float) -> list[Element
                 done.append(e)
             elif rough:
                 todo += _cut(e, 0.02 * tolerance)
-            elif e.steps < _MOST_STEPS:  # smooth, and yet in error: the shots are
+            elif e.steps < MOST_SHOT_STEPS:  # smooth, and yet in error: the shots are
                 todo.append(Task(e.edges, 1.6 * e.steps, e))
-            elif round_ < _STIFF_ROUNDS:  # a part of it may do
+            elif round_ < STIFF_ROUNDS:  # a part of it may do
                 todo += _cut(e, 0.0)
     return done
 

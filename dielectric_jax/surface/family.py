@@ -32,7 +32,6 @@ from ..model import (
 from ..numerics import cached_jit, check_between, elementwise
 from .build import QUANTITIES, AbstractBuilder, columns, edge_factors, element, logarithms, rim_state, state_rates
 from .elements import (
-    NODES,
     Element,
     Sampler,
     Task,
@@ -51,14 +50,20 @@ from .elements import (
     used,
 )
 from .files import cached_or_none, cached_path, fingerprint, keep, read_archive, same_fingerprint, write_archive
-from .surface import BOTTOM, Surface, SurfaceState, arrays_of, bound_of, check_tolerance, top_load, with_charge
+from .resolution import (
+    BOTTOM,
+    FAMILY_BLOCK,
+    FAMILY_FRESH,
+    FAMILY_LANES,
+    FRESH,
+    NODES,
+    SHARE_MARGIN,
+    SHARE_MARKS,
+    TRAJECTORY_START,
+)
+from .surface import Surface, SurfaceState, arrays_of, bound_of, check_tolerance, top_load, with_charge
 
 __all__ = ["SurfaceFamily", "build_trajectory_elements", "prestretch_at", "share_of"]
-
-
-_SHARES = (0.5, 0.8)  # where s is cut, to begin with: towards s = 1 the states change fastest
-_START = 1e-4  # where the apex series hands over: its error in λ2 weighs most at small shares
-_MARGIN = 1e-9  # so that rounding of s does not leave the edges of the domain
 
 
 def share_of(apex, rim):
@@ -75,7 +80,7 @@ def prestretch_at(apex, share):
 def _trajectory_program(material: AbstractMaterial, u, steps):
     """R (rows, lanes) and λ1 − λa, λ2 − λa, θ, V, z, C (rows, 6, lanes) after every step; and how many rows there are."""
     apex, p, q = u
-    shot = integrate_membrane(material, apex, p, q, steps, outputs=True, trail="states", start=_START)
+    shot = integrate_membrane(material, apex, p, q, steps, outputs=True, trail="states", start=TRAJECTORY_START)
     times, values, along = shot.trail
     done = jnp.isfinite(times)
     return jax.vmap(along.position)(jnp.where(done, times, 1.0))[0], values, jnp.sum(done)
@@ -127,7 +132,7 @@ def _trajectory_states(material: AbstractMaterial, apex, load, pressure, sets: l
 class _Builder(AbstractBuilder):
     """Elements of (λa, t, s), from one trajectory for all nodes and all elements over a node (λa, t)."""
 
-    fresh = 48
+    fresh = FAMILY_FRESH
 
     def __init__(self, material: AbstractMaterial):
         self.material = material
@@ -174,17 +179,14 @@ def build_trajectory_elements(
     for task in columns(low, float(windows.max()), bottom, top):
         a0, a1 = task.edges[0]
         own = least[np.argmax(windows >= min(a0, windows.max()))]  # the least prestretch whose window holds the column
-        begin = max(share_of(a0, high) - _MARGIN, 0.0) if a0 > high else 0.0
-        end = min(share_of(a1, own) + _MARGIN, 1.0)
-        todo += [Task((*task.edges, share), task.steps) for share in marks(begin, _SHARES, end, 0.08)]
+        begin = max(share_of(a0, high) - SHARE_MARGIN, 0.0) if a0 > high else 0.0
+        end = min(share_of(a1, own) + SHARE_MARGIN, 1.0)
+        todo += [Task((*task.edges, share), task.steps) for share in marks(begin, SHARE_MARKS, end, 0.08)]
     return refine(_Builder(material), todo, tolerance)
 
 
 _FORMAT = "dielectric_jax surface family 1"
 _ARRAYS = ("apex_edges", "load_edges", "share_edges", "cells", "boxes", "coefficients", "errors")
-_BLOCK = 32  # edges and elements come in multiples of it
-_BATCH = 32  # points that are evaluated together: the polynomials of one take 200 kB
-_FRESH = 12  # points of an element of a section that measure its error
 
 
 @functools.cache
@@ -194,7 +196,7 @@ def _program(which: tuple) -> Callable:
     def quantities(family, apex, t, rim):
         return _quantities(family, apex, t, rim, which)
 
-    return elementwise(quantities, lanes=_BATCH)
+    return elementwise(quantities, lanes=FAMILY_LANES)
 
 
 def _quantities(family: "SurfaceFamily", apex, t, rim, which):
@@ -214,7 +216,7 @@ def _quantities(family: "SurfaceFamily", apex, t, rim, which):
         k, *bases = known
         return jnp.einsum("qijk,i,j,k->q", family.coefficients[k, wanted], *bases)
 
-    logs = jax.lax.map(read_one, (element.ravel(), *bases), batch_size=_BATCH).T
+    logs = jax.lax.map(read_one, (element.ravel(), *bases), batch_size=FAMILY_LANES).T
     factors = edge_factors(family.material, apex, t, rim)[wanted]
     return jnp.where(inside, factors * jnp.exp(logs.reshape(factors.shape)), jnp.nan)
 
@@ -281,7 +283,7 @@ class SurfaceFamily(eqx.Module):
         elements = build_trajectory_elements(material, (low, high), BOTTOM, top, tolerance)
         if not elements:
             raise ValueError(f"`tolerance` must be looser for this material: no part was met to {tolerance:g}.")
-        edges, arrays = padded(*pack(elements), _BLOCK)
+        edges, arrays = padded(*pack(elements), FAMILY_BLOCK)
         parts = map(jax.device_put, (*edges, *arrays))
         family = cls(material, breakdown, *parts, prestretch=(low, high), tolerance=tolerance)
         keep(family.save, path)
@@ -364,7 +366,7 @@ class SurfaceFamily(eqx.Module):
                 f"`material` and `breakdown` must be those the family was built for, but {str(path)!r} is another's."
             )
         own = [arrays[name] for name in _ARRAYS]
-        edges, rest = padded(own[:3], own[3:], _BLOCK)
+        edges, rest = padded(own[:3], own[3:], FAMILY_BLOCK)
         parts = map(jax.device_put, (*edges, *rest))
         return cls(material, breakdown, *parts, prestretch=(low, high), tolerance=float(header["tolerance"]))
 
@@ -374,7 +376,7 @@ class SurfaceFamily(eqx.Module):
         return f"SurfaceFamily({len(used(self.cells))} elements, prestretch={low:g} to {high:g}, error {worst:.1e})"
 
 
-@functools.partial(elementwise, lanes=_BATCH)
+@functools.partial(elementwise, lanes=FAMILY_LANES)
 def _state(family: SurfaceFamily, apex, q, rim) -> tuple:
     t = q / largest_load(family.material, apex)
     return tuple(with_charge(family.at_load_fraction(apex, t, rim), jnp.asarray(q, float)))
@@ -450,7 +452,7 @@ class _Section(Sampler):
 
     def measure(self, elements, seed):
         measured = []
-        for e, x in zip(elements, fresh_places(elements, seed, _FRESH), strict=True):
+        for e, x in zip(elements, fresh_places(elements, seed, FRESH), strict=True):
             source = self._source(e.edges)
             known = read(source, np.concatenate([x, share_of(x[:1], self.rim)]))
             error = float(np.abs(np.expm1(read(e, x) - known)).max()) + source.error

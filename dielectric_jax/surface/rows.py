@@ -20,18 +20,19 @@ from jaxtyping import Array, Float
 
 from ..model import largest_load
 from ..numerics import cached_jit
+from .resolution import (
+    LOWEST_ROW,
+    ROW_ABOVE_BREAKDOWN,
+    ROW_BRACKETS,
+    ROW_LANES,
+    ROW_NEWTON,
+    ROW_PANELS,
+    ROW_TERMS,
+    ROWS,
+)
 from .surface import ById, Surface
 
-__all__ = ["ROWS", "Conditions", "Rows", "crossings", "rows_of"]
-
-ROWS = 256
-_LOWEST = 0.003  # y of the first row
-_PANELS = (0.0, 0.4, 0.7, 0.9, 1.0)  # shares of the loads of a row
-_TERMS = 16  # of a polynomial on a panel
-_BRACKETS = 6  # on a panel
-_NEWTON = 3
-_SOME = 32  # rows that are evaluated together
-_ABOVE_BREAKDOWN = 1.2  # loads of a row end here, or with the surface's domain
+__all__ = ["Conditions", "Rows", "crossings", "rows_of"]
 
 
 class Conditions(eqx.Module):
@@ -84,28 +85,28 @@ class Rows(eqx.Module):
     def apex_at(self, place):
         """λa at a place between rows, counted in rows from the first."""
         rim = self.surface.membrane.prestretch
-        return rim + (self.end - rim) * (_LOWEST + (1 - _LOWEST) * place / (ROWS - 1)) ** 2 * (1 - 1e-12)
+        return rim + (self.end - rim) * (LOWEST_ROW + (1 - LOWEST_ROW) * place / (ROWS - 1)) ** 2 * (1 - 1e-12)
 
     def place_of(self, apex_stretch):
         """The place between rows of a λa, the inverse of `apex_at`."""
         rim = self.surface.membrane.prestretch
         y = jnp.sqrt((apex_stretch - rim) / ((self.end - rim) * (1 - 1e-12)))
-        return (y - _LOWEST) / (1 - _LOWEST) * (ROWS - 1)
+        return (y - LOWEST_ROW) / (1 - LOWEST_ROW) * (ROWS - 1)
 
 
 def _panel_polynomials(panel_values):
     """Monomial coefficients (…, terms), highest last, of values (…, terms) at the Chebyshev–Gauss nodes; their tail."""
-    vander = np.polynomial.chebyshev.chebvander(_nodes(), _TERMS - 1)
+    vander = np.polynomial.chebyshev.chebvander(_nodes(), ROW_TERMS - 1)
     chebyshev = np.linalg.solve(vander, panel_values[..., None])[..., 0]
-    powers = np.zeros((_TERMS, _TERMS))
-    for k in range(_TERMS):
-        powers[: k + 1, k] = np.polynomial.chebyshev.cheb2poly(np.eye(_TERMS)[k])[: k + 1]
+    powers = np.zeros((ROW_TERMS, ROW_TERMS))
+    for k in range(ROW_TERMS):
+        powers[: k + 1, k] = np.polynomial.chebyshev.cheb2poly(np.eye(ROW_TERMS)[k])[: k + 1]
     tail = np.abs(chebyshev[..., -2:]).max(axis=-1) / np.abs(panel_values).min(axis=-1)
     return chebyshev @ powers.T, tail
 
 
 def _nodes():
-    return -np.cos(np.pi * (np.arange(_TERMS) + 0.5) / _TERMS)
+    return -np.cos(np.pi * (np.arange(ROW_TERMS) + 0.5) / ROW_TERMS)
 
 
 @cached_jit
@@ -120,23 +121,23 @@ def rows_of(key: ById) -> Rows:
     surface = key.value
     material = surface.membrane.material
     rim, end = float(surface.membrane.prestretch), float(surface.apex_edges[-1])
-    apex = rim + (end - rim) * np.linspace(_LOWEST, 1.0, ROWS) ** 2 * (1 - 1e-12)
+    apex = rim + (end - rim) * np.linspace(LOWEST_ROW, 1.0, ROWS) ** 2 * (1 - 1e-12)
     limit = largest_load(material, apex)
     broken = np.asarray(surface.breakdown_load(apex))
     boxes = np.asarray(surface.boxes)
     covered = [boxes[(boxes[:, 0] <= a) & (a <= boxes[:, 1])] for a in apex]
     bottom = np.array([own[:, 2].min(initial=0.0) for own in covered])
     top = np.array([own[:, 3].max(initial=0.0) for own in covered])
-    top = np.minimum(top, _ABOVE_BREAKDOWN * np.nan_to_num(broken / limit, nan=1.0))
-    panels = list(itertools.pairwise(_PANELS))
+    top = np.minimum(top, ROW_ABOVE_BREAKDOWN * np.nan_to_num(broken / limit, nan=1.0))
+    panels = list(itertools.pairwise(ROW_PANELS))
     inner = [low + (high - low) * (_nodes() + 1) / 2 for low, high in panels]
-    ends = [np.linspace(low, high, _BRACKETS + 1)[1:] for low, high in panels]
+    ends = [np.linspace(low, high, ROW_BRACKETS + 1)[1:] for low, high in panels]
     shares = np.minimum(np.concatenate([*inner, [0.0], *ends]), 1 - 1e-12)
     load = np.concatenate([bottom[:, None] + (top - bottom)[:, None] * shares, np.zeros((ROWS, 1))], axis=1)
-    parts = [_values(surface, apex[i : i + _SOME], load[i : i + _SOME]) for i in range(0, ROWS, _SOME)]
+    parts = [_values(surface, apex[i : i + ROW_LANES], load[i : i + ROW_LANES]) for i in range(0, ROWS, ROW_LANES)]
     values = np.concatenate([np.asarray(v) for v in parts], axis=1)  # p and V (2, rows, places)
-    inside, bracket, flat = np.split(values, [len(panels) * _TERMS, -1], axis=2)
-    polynomials, tails = _panel_polynomials(inside.reshape(2, ROWS, len(panels), _TERMS))
+    inside, bracket, flat = np.split(values, [len(panels) * ROW_TERMS, -1], axis=2)
+    polynomials, tails = _panel_polynomials(inside.reshape(2, ROWS, len(panels), ROW_TERMS))
     return Rows(
         surface=surface,
         end=jnp.asarray(end),
@@ -157,7 +158,7 @@ def rows_of(key: ById) -> Rows:
 def _chosen(values, panel):
     """The value of each lane's panel."""
     value = values[0]
-    for k in range(1, len(_PANELS) - 1):
+    for k in range(1, len(ROW_PANELS) - 1):
         value = jnp.where(panel >= k, values[k], value)
     return value
 
@@ -184,20 +185,20 @@ def crossings(rows: Rows, conditions: Conditions):
             same = (value > 0) == positive
             crossed = still & ~same
             high = jnp.where(crossed, value, high)
-            begin = jnp.where(crossed, -1 + 2 * (j % _BRACKETS) / _BRACKETS, begin)
-            own = j // _BRACKETS
+            begin = jnp.where(crossed, -1 + 2 * (j % ROW_BRACKETS) / ROW_BRACKETS, begin)
+            own = j // ROW_BRACKETS
             panel = jnp.where(crossed, float(own), panel)
-            first = jnp.where(crossed, _PANELS[own], first)
-            width = jnp.where(crossed, _PANELS[own + 1] - _PANELS[own], width)
+            first = jnp.where(crossed, ROW_PANELS[own], first)
+            width = jnp.where(crossed, ROW_PANELS[own + 1] - ROW_PANELS[own], width)
             still = still & same
             again = again | (same & ~still)
             low = jnp.where(still, value, low)
-        x = begin + 2 / _BRACKETS * low / (low - high)
+        x = begin + 2 / ROW_BRACKETS * low / (low - high)
 
-        for _ in range(_NEWTON):
+        for _ in range(ROW_NEWTON):
             # the barrier keeps the panel's terms from being stored for the next pass: to choose them anew is cheaper
             x, panel = jax.lax.optimization_barrier((x, panel))
-            p_terms, v_terms = ([_chosen(polynomials[:, i, term], panel) for term in range(_TERMS)] for i in (0, 1))
+            p_terms, v_terms = ([_chosen(polynomials[:, i, term], panel) for term in range(ROW_TERMS)] for i in (0, 1))
             p, v = p_terms[-1], v_terms[-1]
             p_rate = v_rate = jnp.zeros_like(x)
             for p_term, v_term in zip(p_terms[-2::-1], v_terms[-2::-1], strict=True):

@@ -23,17 +23,13 @@ from ..model import (
 )
 from ..numerics import check_positive, elementwise
 from .build import QUANTITIES, build_elements, edge_factors
-from .elements import NODES, Element, chebyshev, locate, pack, padded, unit_place, used
+from .elements import Element, chebyshev, locate, pack, padded, unit_place, used
 from .files import cached_or_none, cached_path, fingerprint, keep, read_archive, same_fingerprint, write_archive
+from .resolution import ABOVE_BREAKDOWN, BLOCK, BOTTOM, BOUND_FACTOR, LEAST_BOUND, NODES, TOLERANCES
 
 __all__ = ["ById", "Surface", "SurfaceState", "pressure_and_volume"]
 
 _FORMAT = "dielectric_jax surface 1"
-BOTTOM = -0.75
-_ABOVE_BREAKDOWN = 1.3
-_BLOCK = 128  # edges and elements come in multiples of it
-_BOUND = 4.0  # times the largest error seen at the fresh states of an element
-_LEAST_BOUND = 3e-12  # what independent methods can tell
 
 
 class SurfaceState(typing.NamedTuple):
@@ -60,21 +56,22 @@ def with_charge(values, q) -> SurfaceState:
 
 def bound_of(errors, element):
     """The bound of the relative error in an element; inf outside the domain."""
-    return jnp.where(element >= 0, jnp.maximum(_BOUND * errors[element], _LEAST_BOUND), jnp.inf)
+    return jnp.where(element >= 0, jnp.maximum(BOUND_FACTOR * errors[element], LEAST_BOUND), jnp.inf)
 
 
 def check_tolerance(tolerance: float, noun: str) -> None:
     """Refuses a tolerance that no state meets, or that is none."""
     check_positive("tolerance", tolerance)
-    if not 1e-11 <= tolerance <= 1e-3:
-        raise ValueError(f"`tolerance` of a {noun} must lie between 1e-11 and 0.001, but is {tolerance!r}.")
+    least, largest = TOLERANCES
+    if not least <= tolerance <= largest:
+        raise ValueError(f"`tolerance` of a {noun} must lie between {least:g} and {largest:g}, but is {tolerance!r}.")
 
 
 def top_load(material: AbstractMaterial, law: AbstractBreakdown, apex) -> np.ndarray:
     """The largest t of the domain at λa: 1.3 times that of breakdown at the apex, at most 0.9."""
     with np.errstate(all="ignore"):
         load = field_on(law, apex) ** 2 / apex**4 / largest_load(material, apex)
-    return np.minimum(SCANNED_LOAD, _ABOVE_BREAKDOWN * np.nan_to_num(load, nan=1.0, posinf=1.0))
+    return np.minimum(SCANNED_LOAD, ABOVE_BREAKDOWN * np.nan_to_num(load, nan=1.0, posinf=1.0))
 
 
 class Surface(eqx.Module):
@@ -86,8 +83,8 @@ class Surface(eqx.Module):
     states; the last edges and elements are repeated to sizes that most surfaces share. Build one with `Surface.build`.
 
     Its numbers are differentiable to any order by λa, q and t, but they belong to one material. By a constant m of the
-    material the implicit rule at the shot tells them: at fixed (λa, q) the rim condition lag(λa, p, q; m) = λ0 − λa gives
-    dp/dm = −(∂lag/∂m)/(∂lag/∂p), and dV/dm = ∂V/∂m + (∂V/∂p) dp/dm, all four from `shoot`; or build surfaces anew.
+    material the implicit rule at the shot tells them: at fixed (λa, q) the rim condition l(λa, p, q; m) = λ0 − λa, l = λ2(1) − λa, gives
+    dp/dm = −(∂l/∂m)/(∂l/∂p), and dV/dm = ∂V/∂m + (∂V/∂p) dp/dm, all four from `shoot`; or build surfaces anew.
 
     >>> import jax
     >>> surface = Surface.build(Membrane(), tolerance=1e-9)
@@ -145,7 +142,7 @@ class Surface(eqx.Module):
     @classmethod
     def of_elements(cls, membrane: Membrane, elements: list[Element], tolerance: float) -> "Surface":
         """The surface that elements make up."""
-        edges, arrays = padded(*pack(elements), _BLOCK)
+        edges, arrays = padded(*pack(elements), BLOCK)
         return cls(membrane, *map(jax.device_put, (*edges, *arrays)), tolerance=tolerance)
 
     def locate(self, apex_stretch, load_fraction):
@@ -203,7 +200,7 @@ class Surface(eqx.Module):
         if not same_fingerprint(built_for, fingerprint(membrane)):
             raise ValueError(f"`membrane` must be the one the surface was built for, but {str(path)!r} is another's.")
         own = [arrays[name] for name in _ARRAYS]
-        edges, rest = padded(own[:2], own[2:], _BLOCK)
+        edges, rest = padded(own[:2], own[2:], BLOCK)
         return cls(membrane, *map(jax.device_put, (*edges, *rest)), tolerance=float(header["tolerance"]))
 
     def __repr__(self) -> str:

@@ -12,7 +12,7 @@ import pytest
 import dielectric_jax as dj
 from dielectric_jax import Code
 from dielectric_jax.diagram.tracing import run_trace
-from dielectric_jax.model.corrector import SCALE
+from dielectric_jax.model import SCALE
 from dielectric_jax.numerics import Problem, Steps, trace
 
 ONES = np.ones(2)

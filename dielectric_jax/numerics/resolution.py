@@ -1,0 +1,22 @@
+"""The tuned numbers of this package: limits of memory, of compiled shapes, and of Newton's method in a continuation."""
+
+# largest size of a number that a user gives: squares and products of several must not overflow
+LARGEST = 1e50
+
+# bits of the widest vectors that XLA may use on the CPU: all that the processor has; its default is half of them on many
+VECTOR_WIDTH = 512
+# points of one call of an elementwise function; more points are more calls of the same program
+LANES = 512
+# bytes of live programs in XLA's own format, some forty times as much in memory; benchmarks/acceptance/memory.py
+MOST_LIVE = 24e6
+# bytes of packed programs, some 0.3 MB each; beyond them the oldest are compiled again; benchmarks/acceptance/memory.py
+MOST_SHELVED = 100e6
+
+# ratio of successive Newton moves above which a step of a continuation is halved: Newton does not contract
+MOST_CONTRACTION = 0.5
+# further Newton iterations on a step of a continuation before it is halved
+NEWTON_TRIES = 6
+# the same at the first point, which has no step to halve: beyond them the walk ends with `step_too_small`
+FIRST_TRIES = 20
+# largest growth and least shrinkage of an accepted step
+LEAST_GROWTH, MOST_GROWTH = 0.5, 2.0
