@@ -148,7 +148,7 @@ class Explorer:
             if name in self.controls and words:
                 self.controls[name].layout.display = None if name in (*held, "prestretch") else "none"
         try:
-            self.scene = self._told()
+            self.scene = self._given_scene()
             self.seen = self._see(self.scene, whole)
             self.message.value = _story(self.seen)
         except (ValueError, SceneError) as error:
@@ -156,7 +156,7 @@ class Explorer:
             self.message.value = f"<b>{html.escape(str(error))}</b>"
         self.picture.value = self._frame.draw(self.seen)
 
-    def _told(self) -> Scene:
+    def _given_scene(self) -> Scene:
         """The scene selected by the controls."""
         values = {name: control.value for name, control in self.controls.items() if name in _WORDS}
         kind, given = self.controls["loading"].value, self._base.loading
@@ -320,8 +320,12 @@ def _story(seen: Any) -> str:
     if seen.kind == "pressure-volume":
         name = "" if units is None else f" {units.read_name('pressure')}"
         folds = [p for p in view.special_points if p.kind == "fold"]
-        told = [f"p = {p.pressure:.6g}{name} at V = {p.volume:.5g}" for p in folds]
-        return "Folds of the pressure: " + "; ".join(told) + "." if told else "The pressure has no fold."
+        folds_in_words = [f"p = {p.pressure:.6g}{name} at V = {p.volume:.5g}" for p in folds]
+        return (
+            "Folds of the pressure: " + "; ".join(folds_in_words) + "."
+            if folds_in_words
+            else "The pressure has no fold."
+        )
     pairs = itertools.zip_longest(view.events, view.events[1:])
     parts = [words for event, following in pairs if (words := _words(event, following, units))]
     whole = isinstance(seen, Diagram)

@@ -312,11 +312,11 @@ class Followed(typing.NamedTuple):
 
 def follow(system: System, start: Place, levels: np.ndarray, largest_ratio: float) -> Followed:
     """The curve through `start` in both directions, with exact places where w takes one of `levels`."""
-    ahead, end, crossed, met = _one_way(system, start, 1.0, levels, largest_ratio)
+    ahead, end, crossed, special = _one_way(system, start, 1.0, levels, largest_ratio)
     if end == "closed":
-        return Followed(ahead, (end, end), crossed, met)
+        return Followed(ahead, (end, end), crossed, special)
     behind, begin, more, others = _one_way(system, start, -1.0, levels, largest_ratio)
-    return Followed([*reversed(behind[1:]), *ahead], (begin, end), crossed + more, met + others)
+    return Followed([*reversed(behind[1:]), *ahead], (begin, end), crossed + more, special + others)
 
 
 def _one_way(system: System, start: Place, sense: float, levels: np.ndarray, largest_ratio: float):
@@ -349,10 +349,10 @@ def _one_way(system: System, start: Place, sense: float, levels: np.ndarray, lar
                 return places, "no_filling" if leapt else lost, crossings, points
             system.conditions.begin_anew()
             continue
-        more, crossed, met, end = passed
+        more, crossed, special, end = passed
         places += more
         crossings += crossed
-        points += met
+        points += special
         if end:
             return places, end, crossings, points
         length = float(np.linalg.norm(there.z - here.z))

@@ -196,9 +196,9 @@ def _followed(system: System, shares, seeds: list, largest_ratio: float) -> tupl
     """Every curve through seeds (sample, z), and the disagreements between curves and seeds: (z, description)."""
     curves: list[Followed] = []
     doubts = []
-    met = [False] * len(seeds)
+    passed = [False] * len(seeds)
     for n, (i, z) in enumerate(seeds):
-        if met[n]:
+        if passed[n]:
             continue
         system.conditions.begin_anew()
         try:
@@ -214,7 +214,7 @@ def _followed(system: System, shares, seeds: list, largest_ratio: float) -> tupl
         for j, place in [(i, start), *found.crossings]:
             near = [m for m, (k, other) in enumerate(seeds) if k == j and np.abs(other - place.z).max() < SAME_POINT]
             for m in near:
-                met[m] = True
+                passed[m] = True
             inside = place.ratio < 0.999 * largest_ratio and place.fraction < 0.999 * LARGEST_LOAD
             if not near and inside and abs(place.z[2]) > 1e-9:
                 doubts.append((place.z, " is on a curve but not in the diagram."))

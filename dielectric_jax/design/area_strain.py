@@ -16,7 +16,7 @@ from ..diagram import Diagram, voltage_volume
 from ..model import Outcome, Regime, Scene, describe, place_of, plain
 from ..numerics import check_whole
 from ..surface import Surface, SurfaceFamily
-from .constrained_search import Axis, Climb, Kind, Wishes, axis_of, begin_of, inwards, scan_designs
+from .constrained_search import Axis, Climb, Kind, Requirements, axis_of, begin_of, inwards, scan_designs
 from .designs import classify_designs, surface_for
 from .regime_maps import even
 from .resolution import ACTIVE, INWARD, MOST_SOUGHT, SEEDS, STRAIN_SCAN
@@ -112,7 +112,7 @@ def maximise_area_strain(
     if len(over) > MOST_SOUGHT:
         raise ValueError(f"`over` must name at most {MOST_SOUGHT} parameters, but names {len(over)}.")
     check_whole("compare", compare, 0, 10_000_000)
-    wishes = Wishes(survival_margin, operating_margin, must_snap, way_down)
+    required = Requirements(survival_margin, operating_margin, must_snap, way_down)
     axes = [axis_of(name, limits, scene) for name, limits in over.items()]
     names = tuple(over)
     for name in names:
@@ -121,7 +121,7 @@ def maximise_area_strain(
     scenes = scenarios_of(scene, axes, uncertain or {}, quantile, surface, operating_margin)
     share = 0.0 if quantile is None else quantile
     counts, values = _scan_of(axes, len(scenes))
-    strain, nominal = scan_designs(scenes, names, values, wishes, share)
+    strain, nominal = scan_designs(scenes, names, values, required, share)
     best, evaluations = None, 0
     for number in _seeds(strain, nominal, counts):
         z = np.array([i / (n - 1) for i, n in zip(np.unravel_index(number, counts), counts, strict=True)])
@@ -129,8 +129,8 @@ def maximise_area_strain(
         begin = begin_of(kind, nominal.ramps, np.array([number]))
         x = values[number]
         for _ in range(1 if quantile is None else 3):  # other scenarios may be the worst at the design that was found
-            held = _held(scenes, names, x, wishes, share)
-            climb = Climb(kind, scenes, axes, wishes, held)
+            held = _held(scenes, names, x, required, share)
+            climb = Climb(kind, scenes, axes, required, held)
             if not climb.seed(z, [begin] * len(scenes)):
                 break
             found = climb.run(z)
@@ -162,12 +162,12 @@ def _scan_of(axes: list[Axis], scenarios: int) -> tuple[tuple[int, ...], np.ndar
     return counts, np.stack([g.ravel() for g in np.meshgrid(*ticks, indexing="ij")], axis=1)
 
 
-def _held(scenes, names, x, wishes, share) -> np.ndarray:
+def _held(scenes, names, x, required, share) -> np.ndarray:
     """Which scenarios must satisfy the constraints: all but the worst fraction at a design."""
     if share == 0:
         return np.ones(len(scenes), bool)
     strains = np.array(
-        [float(np.nan_to_num(scan_designs([s], names, x[None], wishes)[0][0], nan=-1.0)) for s in scenes]
+        [float(np.nan_to_num(scan_designs([s], names, x[None], required)[0][0], nan=-1.0)) for s in scenes]
     )
     held = np.ones(len(scenes), bool)
     held[np.argsort(strains, kind="stable")[: int(np.floor(share * len(scenes)))]] = False
@@ -242,7 +242,7 @@ def _answer(scene: Scene, best, evaluations: int, compare: int, check: bool, sha
     z, growth, held, climb = best
     growths, by_z, limits = climb.rows(z)
     x, rate = climb.place(z)
-    wish = climb.wishes
+    wish = climb.required
     entries = []
     for name, j, value, slope in limits:
         if held[j]:
@@ -300,7 +300,7 @@ def _compared(climb: Climb, count: int, reached: float, share: float) -> dict:
     best, where = -np.inf, None
     for block in _blocks(ticks):
         values = np.array(block)[:, ::-1]
-        strain = scan_designs(climb.scenes, climb.names, values, climb.wishes, share)[0]
+        strain = scan_designs(climb.scenes, climb.names, values, climb.required, share)[0]
         if np.isfinite(strain).any():
             k = int(np.nanargmax(strain))
             if strain[k] > best:

@@ -468,15 +468,15 @@ def check_intervals(
     """Refuses unbounded intervals, and returns warnings about wide ones."""
     said = []
     for name, (low, high) in intervals.items():
-        told = f"the {100 * level:g} % interval of {name}, {values[name]:.4g}, is {low:.3g} to {high:.3g}"
+        stated = f"the {100 * level:g} % interval of {name}, {values[name]:.4g}, is {low:.3g} to {high:.3g}"
         endless = not (np.isfinite(low) and np.isfinite(high)) or (low > 0 and high > ENDLESS * low)
         if endless or (low == 0 and values[name] > 0 and name != "prestretch" and high > ENDLESS * values[name]):
             raise ValueError(
-                f"`over` must name constants that the curve determines, but {told}; leave it out of `over`, or measure "
+                f"`over` must name constants that the curve determines, but {stated}; leave it out of `over`, or measure "
                 "larger volumes, where the film stiffens."
             )
         if low > 0 and high > WIDE * low:
-            said.append(f"The curve hardly determines {name}: {told}.")
+            said.append(f"The curve hardly determines {name}: {stated}.")
     return said
 
 

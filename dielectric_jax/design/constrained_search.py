@@ -26,7 +26,7 @@ __all__ = [
     "Climb",
     "Kind",
     "Measures",
-    "Wishes",
+    "Requirements",
     "axis_of",
     "begin_of",
     "inwards",
@@ -128,7 +128,7 @@ def measure(kind: Kind, names: tuple, surface, scene: Scene, theta, guess) -> Me
 
 
 @dataclasses.dataclass(frozen=True)
-class Wishes:
+class Requirements:
     """The requirements on a design."""
 
     survival_margin: float
@@ -179,7 +179,7 @@ def axis_of(name: str, limits, scene: Scene) -> Axis:
     return Axis(name, low, high, bool(abs(values[1] - (low + high) / 2) > 1e-9 * high))
 
 
-def scan_designs(scenes: list[Scenario], names: tuple, values: np.ndarray, wishes: Wishes, share: float = 0.0):
+def scan_designs(scenes: list[Scenario], names: tuple, values: np.ndarray, required: Requirements, share: float = 0.0):
     """Area strains of designs (n, parameters), NaN where one does not satisfy the requirements, and the nominal designs.
 
     With several scenarios the strain is the worst, or, if a `share` of them may fail or fall short, the quantile.
@@ -192,11 +192,11 @@ def scan_designs(scenes: list[Scenario], names: tuple, values: np.ndarray, wishe
         ramps = found.ramps
         with np.errstate(invalid="ignore"):
             landed = np.where(np.isnan(ramps.landing_ratio), -np.inf, ramps.landing_ratio).max(axis=-1)
-            good = (ramps.outcome == Outcome.breakdown_on_branch) & (landed <= np.exp(wishes.landing_limit / 2))
-        if wishes.must_snap or wishes.way_down:
+            good = (ramps.outcome == Outcome.breakdown_on_branch) & (landed <= np.exp(required.landing_limit / 2))
+        if required.must_snap or required.way_down:
             good &= ramps.snaps > 0
-        if wishes.way_down:
-            good &= found.regime == int(Regime[wishes.way_down])
+        if required.way_down:
+            good &= found.regime == int(Regime[required.way_down])
         strains.append(np.where(good, ramps.area_strain, np.nan))
     table = np.sort(np.nan_to_num(np.stack(strains), nan=-1.0), axis=0)
     worst = table[int(np.floor(share * len(table)))]
@@ -206,8 +206,8 @@ def scan_designs(scenes: list[Scenario], names: tuple, values: np.ndarray, wishe
 class Climb:
     """The optimisation for one structure of ramp, over all scenarios, in unit coordinates of the ranges."""
 
-    def __init__(self, kind: Kind, scenes: list[Scenario], axes: list, wishes: Wishes, weights):
-        self.kind, self.scenes, self.axes, self.wishes = kind, scenes, axes, wishes
+    def __init__(self, kind: Kind, scenes: list[Scenario], axes: list, required: Requirements, weights):
+        self.kind, self.scenes, self.axes, self.required = kind, scenes, axes, required
         self.names = tuple(a.name for a in axes)
         self.held = weights  # which scenarios must satisfy the constraints
         self.known: list = []
@@ -276,7 +276,7 @@ class Climb:
             return None
         rate = self.place(z)[1]
         growth, by_z, limits = [], [], []
-        wish = self.wishes
+        wish = self.required
         for j, (m, scenario) in enumerate(zip(found, self.scenes, strict=True)):
             value = dict(zip(m.names, m.values[0], strict=True))
             slope = dict(zip(m.names, m.slopes[0] * scenario.factors * rate, strict=True))
@@ -344,9 +344,9 @@ class Climb:
                 },
                 options={"ftol": 1e-13, "maxiter": 80},
             )
-        return None if self.feasible is None else self._polished(*self.feasible)
+        return None if self.feasible is None else self._corrected(*self.feasible)
 
-    def _polished(self, z: np.ndarray, reached: float) -> tuple:
+    def _corrected(self, z: np.ndarray, reached: float) -> tuple:
         """The design moved by Newton onto its nearly active constraints, if it stays close and feasible."""
         place = np.where(z < AT_END, 0.0, np.where(z > 1 - AT_END, 1.0, z))
         for _ in range(3):

@@ -219,10 +219,10 @@ class CurveModel:
     def _unreachable(self, reached: float) -> str:
         names = constants_of(self.membrane.material)
         held = [n for n in names if n not in self.names]
-        told = ", ".join(f"{n} {value_of(self.membrane.material, n):.6g}" for n in names)
+        starting = ", ".join(f"{n} {value_of(self.membrane.material, n):.6g}" for n in names)
         state = f"has states up to {reached:.4g} A³ only" if reached else "has no state at this voltage"
         return (
-            f"`membrane` must have states up to the largest measured volume, {self._largest:.4g} A³, but with {told or 'this material'} "
+            f"`membrane` must have states up to the largest measured volume, {self._largest:.4g} A³, but with {starting or 'this material'} "
             f"it {state}; "
             + (f"also fit {' or '.join(held)}, raise it, or " if held else "")
             + "check the units of the volumes and the membrane's radius and prestretch."

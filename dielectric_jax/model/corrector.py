@@ -95,7 +95,7 @@ class Points:
         )
 
     def place(self, condition: LoadingCondition) -> np.ndarray:
-        """By what states of a loading are told apart: the volume, or the apex stretch where the volume is held."""
+        """By what states of a loading are distinguished: the volume, or the apex stretch where the volume is held."""
         return self.u[0] if float(condition.volume_weight) != 0 else self.volume
 
     @staticmethod

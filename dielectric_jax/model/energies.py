@@ -44,7 +44,7 @@ def _evaluated(name: str, material, method: str, l1, l2) -> np.ndarray:
     function = getattr(material, method)
     try:
         jax.eval_shape(function, number, number)  # what needs their values says so of numbers
-        told = jax.eval_shape(function, asked, asked)
+        value = jax.eval_shape(function, asked, asked)
     except (jax.errors.TracerArrayConversionError, jax.errors.ConcretizationTypeError):
         raise ValueError(
             f"`{name}` must be written with jax.numpy (jnp.log for np.log or math.log, jnp.where for if), "
@@ -53,8 +53,8 @@ def _evaluated(name: str, material, method: str, l1, l2) -> np.ndarray:
     except TypeError as error:
         said = (str(error).splitlines() or [""])[0]
         raise ValueError(f"`{name}` must be a function of two arrays of stretches, but fails: {said}") from None
-    if getattr(told, "shape", None) != l1.shape or told.dtype != l1.dtype:
-        what = f"an array {told.dtype}{list(told.shape)}" if hasattr(told, "shape") else f"a {type(told).__name__}"
+    if getattr(value, "shape", None) != l1.shape or value.dtype != l1.dtype:
+        what = f"an array {value.dtype}{list(value.shape)}" if hasattr(value, "shape") else f"a {type(value).__name__}"
         raise ValueError(
             f"`{name}` must return one float64 for each pair of stretches, but for two arrays of shape {l1.shape} "
             f"it returns {what}."
@@ -87,12 +87,12 @@ def check_energy(material, name: str) -> None:
             )
     largest = material.lock_up_stretch(1.0)[0]
     l1, l2 = 1 + (min(float(largest), UNLIMITED_STRETCH) - 1) * CHECKED_SHARES.T
-    told = _evaluated(name, material, "energy", l1, l2)
-    w, swapped, w1, w2, w11, w12 = told
-    if not np.isfinite(told[:, 0]).all():
+    values = _evaluated(name, material, "energy", l1, l2)
+    w, swapped, w1, w2, w11, w12 = values
+    if not np.isfinite(values[:, 0]).all():
         raise ValueError(
             f"`{name}` must be finite with its first two derivatives at λ1 = λ2 = 1, but its value and derivatives are "
-            f"{', '.join(f'{v:g}' for v in told[[0, 2, 3, 4, 5], 0])}."
+            f"{', '.join(f'{v:g}' for v in values[[0, 2, 3, 4, 5], 0])}."
         )
     with np.errstate(all="ignore"):
         uneven = np.abs(w - swapped) > ASYMMETRY * (np.abs(w) + np.abs(swapped)) + 1e-12 * np.abs(w11[0])
@@ -118,9 +118,9 @@ def check_permittivity(material, largest: float) -> None:
     """Refuses a permittivity e(λ1, λ2) that is not symmetric, or none of the unstretched membrane."""
     require_float64()
     l1, l2 = 1 + (min(float(largest), UNLIMITED_STRETCH) - 1) * CHECKED_SHARES.T
-    told = _evaluated("function", material, "permittivity", l1, l2)
-    e, swapped = told[:2]
-    if not (np.isfinite(told[:, 0]).all() and MODULI[0] <= e[0] <= MODULI[1]):
+    values = _evaluated("function", material, "permittivity", l1, l2)
+    e, swapped = values[:2]
+    if not (np.isfinite(values[:, 0]).all() and MODULI[0] <= e[0] <= MODULI[1]):
         raise ValueError(
             "`function` must be the permittivity in units of ε, that of the unstretched membrane, with finite "
             f"derivatives, so that it is about 1 (from {MODULI[0]:g} to {MODULI[1]:g}) at λ1 = λ2 = 1, but it is {e[0]:.6g}."

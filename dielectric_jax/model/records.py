@@ -35,7 +35,7 @@ def html_table(heads: Sequence[str], rows: Sequence[Sequence[Any]], caption: str
 
 
 # what tables of states show
-_TOLD = (
+_SHOWN = (
     "voltage",
     "pressure",
     "volume",
@@ -114,7 +114,7 @@ class State:
         return plain(out)
 
     def _repr_html_(self) -> str:
-        heads = ("kind", *_TOLD) if isinstance(self, SpecialPoint) else _TOLD
+        heads = ("kind", *_SHOWN) if isinstance(self, SpecialPoint) else _SHOWN
         return html_table([h.replace("_", " ") for h in heads], [[getattr(self, n) for n in heads]])
 
     def __repr__(self) -> str:
@@ -147,7 +147,7 @@ class Branch:
     """A curve of equilibria: one array of shape (points,) for each of `QUANTITIES`, and why it starts and ends.
 
     `flags` lists what a reader must know of the branch as a whole: "error_above_tolerance"; "points_lost", a gap between
-    stations; "end_lost", an end inside the scanned window that was not reached; "special_point_lost", a special point that is bracketed but was not met.
+    mesh points; "end_lost", an end inside the scanned window that was not reached; "special_point_lost", a special point that is bracketed but was not located.
     `index` is -1 where it is not valid.
     """
 

@@ -166,8 +166,8 @@ def stability_of(what: Scene | Membrane, state):
             raise ValueError(f"`state` must be a State or a sequence of them, but holds a {type(s).__name__}.")
     curved = [i for i, s in enumerate(states) if s.pressure > 0]
     chosen = [states[i] for i in curved]
-    told = dict(zip(curved, judge(what, chosen, survey(membrane, chosen)), strict=True))
-    found = [told[i] if i in told else _flat(membrane, s) for i, s in enumerate(states)]
+    judged = dict(zip(curved, judge(what, chosen, survey(membrane, chosen)), strict=True))
+    found = [judged[i] if i in judged else _flat(membrane, s) for i, s in enumerate(states)]
     return found[0] if one else found
 
 
@@ -234,12 +234,12 @@ def judge(what: Scene | Membrane, states: list[State], surveys: list) -> list[St
         if not (defect[i] < EQUILIBRIUM and agreed[i] and np.isfinite(sign[i])):
             found.append(Stability(None, ("unresolved",), *[np.nan] * 4))
             continue
-        told = abs(zeros[i] - surveys[0][4][i]) < 2
+        decided = abs(zeros[i] - surveys[0][4][i]) < 2
         doubts = {
             "no_tension": tension[i] <= 0,
             "not_elliptic": modulus[i] <= 0,
-            "near_fold": bool(near[i] or coarse[i] != index[i]) and told,
-            "unresolved": not told,
+            "near_fold": bool(near[i] or coarse[i] != index[i]) and decided,
+            "unresolved": not decided,
         }
         reasons = tuple(name for name, doubt in doubts.items() if doubt)
         least = _least_hoop(radius[:, i], hoop[:, i])

@@ -90,7 +90,7 @@ class Units(eqx.Module):
     """What one means in SI: shear modulus μ [Pa], undeformed thickness H [m], radius A [m], permittivity ε [F/m].
 
     By default the membrane of the paper's analyses: VHB 4910 with μ = 45 kPa, H = 1 mm, A = 22.5 mm, ε = 4.7 ε0. The
-    field's unit √(μ/ε) is also that of the breakdown law, which must be told the same μ and ε; `Scene` checks it, and
+    field's unit √(μ/ε) is also that of the breakdown law, which must be given the same μ and ε; `Scene` checks it, and
     `Scene.from_si` does it.
 
     >>> units = Units()

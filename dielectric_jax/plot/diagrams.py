@@ -250,17 +250,17 @@ def _frame_control(
     def places(what):
         return [(getattr(s, across), getattr(s, vertical)) for s in what]
 
-    met = [place for place in places(e.state for e in diagram.events) if np.isfinite(place[1])]
-    if whole or len(met) < 2:
+    reached = [place for place in places(e.state for e in diagram.events) if np.isfinite(place[1])]
+    if whole or len(reached) < 2:
         for columns_ in places(diagram.branches):
-            met += [(v, y) for v, y in zip(*columns_, strict=True) if np.isfinite(y)]
+            reached += [(v, y) for v, y in zip(*columns_, strict=True) if np.isfinite(y)]
         far = places(points)
     else:
-        v_max, phi_max = max(v for v, _ in met), max(phi for _, phi in met)
+        v_max, phi_max = max(v for v, _ in reached), max(phi for _, phi in reached)
         far = [(v, y) for v, y in places(points) if v <= 1.6 * v_max and y <= 2 * phi_max]
-    if not met:
+    if not reached:
         return
-    v_max, phi_max = (max(column) for column in zip(*met, *far, strict=True))
+    v_max, phi_max = (max(column) for column in zip(*reached, *far, strict=True))
     room = 1.04 if whole else 1.3
     _limit(ax, room * v_max, room * phi_max)
 

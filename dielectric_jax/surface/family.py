@@ -282,7 +282,7 @@ class SurfaceFamily(eqx.Module):
 
         elements = build_trajectory_elements(material, (low, high), BOTTOM, top, tolerance)
         if not elements:
-            raise ValueError(f"`tolerance` must be looser for this material: no part was met to {tolerance:g}.")
+            raise ValueError(f"`tolerance` must be looser for this material: no part reached {tolerance:g}.")
         edges, arrays = padded(*pack(elements), FAMILY_BLOCK)
         parts = map(jax.device_put, (*edges, *arrays))
         family = cls(material, breakdown, *parts, prestretch=(low, high), tolerance=tolerance)

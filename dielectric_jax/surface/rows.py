@@ -4,7 +4,7 @@ A row is one apex stretch. Along it p and V are polynomials of t on four panels,
 
     (p + p_atm) (w V + V_C)ⁿ = κ        (w = 1; constant pressure: w = 0, V_C = 1, p_atm = 0, κ = p, n = 1)
 
-changes sign where the chamber's contour crosses the row. The crossing is met by Newton's method from the secant of the
+changes sign where the chamber's contour crosses the row. The crossing is found by Newton's method from the secant of the
 bracket. Rows are even in y = √((λa − λ0)/(λ_end − λ0)), in which all quantities are smooth down to the flat membrane, so
 that along a contour they may be interpolated between rows.
 """

@@ -128,7 +128,7 @@ class Surface(eqx.Module):
         elements = build_elements(membrane, high, BOTTOM, top, tolerance)
         if not elements:
             raise ValueError(
-                f"`tolerance` must be looser for this membrane: no part of its chart was met to {tolerance:g}."
+                f"`tolerance` must be looser for this membrane: no part of its chart reached {tolerance:g}."
             )
         surface = cls.of_elements(membrane, elements, tolerance)
         keep(surface.save, path)

@@ -59,8 +59,8 @@ class Axis:
         columns = {name: _checked(name, values) for name, values in self.columns.items()}
         sizes = {name: column.size for name, column in columns.items()}
         if len(set(sizes.values())) > 1:
-            told = ", ".join(f"`{name}` {size}" for name, size in sizes.items())
-            raise ValueError(f"The parameters of the axis {self.dimension!r} must have one length, but have {told}.")
+            lengths = ", ".join(f"`{name}` {size}" for name, size in sizes.items())
+            raise ValueError(f"The parameters of the axis {self.dimension!r} must have one length, but have {lengths}.")
         if self.dimension in PARAMETERS and self.dimension not in columns:
             raise ValueError(
                 f"`dimension` must not be the name of a parameter that the axis does not vary, but is {self.dimension!r}."

@@ -234,13 +234,13 @@ def _on_surface(job: Job, scene: Scene, loadings: dict, count: int) -> dict[str,
     given = {name: values[which] for name, values in given.items()}
     if isinstance(scene.loading, Chamber):
         lanes = given.pop("chamber_volume"), given.pop("initial_volume")
-        told, curves = chamber_ramps(surface, *lanes, **given), None
+        ramps, curves = chamber_ramps(surface, *lanes, **given), None
         if job.curves:
             curves = chamber_curves(surface, *lanes, **given)
     else:
-        told = pressure_ramps(surface, given["pressure"])
+        ramps = pressure_ramps(surface, given["pressure"])
         curves = pressure_curves(surface, given["pressure"]) if job.curves else None
-    for name, values in answers_of(told, Source.surface).items():
+    for name, values in answers_of(ramps, Source.surface).items():
         found[name][which] = values
     if curves is not None:
         apex = np.broadcast_to(curves.apex_stretch, curves.pressure.shape)

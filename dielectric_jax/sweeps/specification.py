@@ -40,8 +40,8 @@ def _distribution(where: str, name: str, given: typing.Any):
     inside = not more or a <= more[0] <= b
     positive = {"loguniform": a > 0, "normal": b > 0, "lognormal": a > 0 and b > 1}.get(kind, True)
     if not (rising and inside and positive):
-        told = ", ".join(f"{key} {value:g}" for key, value in zip(keys, (a, b, *more), strict=True))
-        raise ValueError(f"`{name}` in [{where}] must have a {kind} distribution, but {told} make none.")
+        given = ", ".join(f"{key} {value:g}" for key, value in zip(keys, (a, b, *more), strict=True))
+        raise ValueError(f"`{name}` in [{where}] must have a {kind} distribution, but {given} make none.")
     return {
         "uniform": lambda: stats.uniform(a, b - a),
         "loguniform": lambda: stats.loguniform(a, b),
