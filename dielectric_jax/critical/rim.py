@@ -99,7 +99,7 @@ def _(primals, tangents):
         for entry, share in zip(entries(leaf), jnp.ravel(move), strict=True):
 
             def by_leaf(place, k=k, leaf=leaf, entry=entry):
-                """∂p/∂m = −(∂lag/∂m)/(∂lag/∂p) and ∂V/∂m at given (λa, q)."""
+                """∂p/∂m = −(∂r/∂m)/(∂r/∂p), r the rim's residual, and ∂V/∂m at given (λa, q)."""
                 p = _on_surface(own, place, 0, engine)[0]
 
                 def shot(p, size):

@@ -21,8 +21,8 @@ from ..model import (
     integrate_membrane,
     largest_load,
 )
-from ..numerics import Code, Steps, Walk, advance, cached_jit
-from .resolution import PASSES, SETTLED, SETTLED_FOLD, TANGENT_ERROR, TANGENTS_APART
+from ..numerics import Code, Walk, advance, cached_jit
+from .resolution import MARCH_CONTROL, PASSES, SETTLED, SETTLED_FOLD, TANGENT_ERROR, TANGENTS_APART
 from .tracing import TraceGrid, branch_problem
 
 __all__ = [
@@ -33,16 +33,6 @@ __all__ = [
 ]
 
 
-_STEPS = Steps(
-    first=0.2,
-    largest=2.0,
-    smallest=2e-5,
-    most_turn=0.5,
-    most_correction=0.2,
-    tolerance=1e-4,
-    most_residual=0.1,
-    cubic=True,
-)
 _SCALE = SCALE[:, None]
 
 
@@ -67,7 +57,7 @@ def march_program(membrane, condition, limits, walk, peak, grid: TraceGrid):
     material = membrane.material
 
     def one(material, prestretch, condition, limits, walk):
-        problem = branch_problem(material, prestretch, condition, limits, grid, _STEPS)
+        problem = branch_problem(material, prestretch, condition, limits, grid, MARCH_CONTROL)
         return advance(problem, walk)
 
     def one_pass(state, _):

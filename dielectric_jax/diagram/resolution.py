@@ -6,9 +6,14 @@ Each is used by one engine; the heading of a group names the benchmarks that mea
 import numpy as np
 
 from ..model import SCANNED_LOAD
+from ..numerics import Steps
 
 # Continuation of branches. Checked by benchmarks.acceptance.agreement (every branch of random scenes is found) and
 # benchmarks.acceptance.hard_cases (towards the cone and lock-up).
+# towards lock-up the rim condition is a wall: a small step of Newton may begin far beyond it
+TRACE_CONTROL = Steps(
+    first=0.05, largest=1.0, smallest=2e-5, most_turn=0.35, most_correction=0.2, tolerance=1e-4, most_residual=0.1
+)
 TRACE_STEPS = (10.0, 24.0, 48.0, 160.0)  # steps of the grids of the continuation; the last is the last resort
 # load fractions up to which each grid is used, near lock-up (an inner layer forms) and elsewhere
 TRACE_LOAD_LIMITS = ((0.7, 0.85), (0.82, 0.97), (2.0, 2.0), (2.0, 2.0))
@@ -49,6 +54,17 @@ SAME_STRETCH = 1e-3  # of the apex stretch: beside a fold it is the less exact
 
 # Batches by continuation. Sizes are measured by benchmarks.speed.batch_diagrams and lane_profile, limits checked by
 # benchmarks.truth.ensemble and benchmarks.acceptance.one_answer.
+# the step control of a march
+MARCH_CONTROL = Steps(
+    first=0.2,
+    largest=2.0,
+    smallest=2e-5,
+    most_turn=0.5,
+    most_correction=0.2,
+    tolerance=1e-4,
+    most_residual=0.1,
+    cubic=True,
+)
 BATCH_BLOCK = 512  # scenes that are held together
 START_LINE = 40  # stretches of the line of states at zero voltage
 BATCH_TRACE_STEPS = (7.0, 24.0)  # steps of the grids of a march

@@ -7,14 +7,18 @@ import numpy as np
 
 from ..model import SCALE, ConstantVoltage, Membrane, compile_ahead, largest_load, rim_with_sensitivities, threads
 from ..numerics import Code, Problem, Steps, Trace, cached_jit, trace
-from .resolution import FLAT_END, LARGEST_LOAD_NEAR_LOCK_UP, LARGEST_RESTART, MOST_PARTS, TRACE_LOAD_LIMITS, TRACE_STEPS
+from .resolution import (
+    FLAT_END,
+    LARGEST_LOAD_NEAR_LOCK_UP,
+    LARGEST_RESTART,
+    MOST_PARTS,
+    TRACE_CONTROL,
+    TRACE_LOAD_LIMITS,
+    TRACE_STEPS,
+)
 
 __all__ = ["TraceGrid", "run_trace", "run_traces", "warm_up"]
 
-# towards lock-up the rim condition is a wall: a small step of Newton may begin far beyond it
-_STEPS = Steps(
-    first=0.05, largest=1.0, smallest=2e-5, most_turn=0.35, most_correction=0.2, tolerance=1e-4, most_residual=0.1
-)
 
 _CODES = (
     Code.window_stretch,
@@ -38,7 +42,7 @@ class TraceGrid(typing.NamedTuple):
     lengths: typing.Any
 
 
-def branch_problem(material, prestretch, condition, limits, grid: TraceGrid, steps: Steps = _STEPS) -> Problem:
+def branch_problem(material, prestretch, condition, limits, grid: TraceGrid, steps: Steps = TRACE_CONTROL) -> Problem:
     """A loading's branches as a continuation problem in u = (λa, p, q).
 
     `limits` is (λa, λa, t, t, λa from which it is near lock-up).
@@ -95,7 +99,7 @@ def run_traces(membrane, condition, limits, seeds, directions, **options):
     return list(threads().map(one, seeds, directions))
 
 
-def run_trace(membrane, condition, limits, seed, direction, *, level=0, largest=_STEPS.largest):
+def run_trace(membrane, condition, limits, seed, direction, *, level=0, largest=TRACE_CONTROL.largest):
     """One trace, from the grid `level` on (−1 is the finest): points, unit tangents in scaled unknowns, code.
 
     `largest` bounds the step; a shorter one tells branches apart that nearly meet.
@@ -103,7 +107,7 @@ def run_trace(membrane, condition, limits, seed, direction, *, level=0, largest=
     level %= len(TRACE_STEPS)
     start = np.asarray(seed), np.asarray(direction)
     points, tangents, code = _run_trace(
-        membrane, condition, limits, start, level, (largest, _STEPS.largest), MOST_PARTS
+        membrane, condition, limits, start, level, (largest, TRACE_CONTROL.largest), MOST_PARTS
     )
     return points, tangents / SCALE, code
 
@@ -115,7 +119,7 @@ def _run_trace(membrane, condition, limits, start, level, bounds, parts):
     """
     # at the flat end everything shrinks with λa − λ0; elsewhere a shorter step only meets the noise about a cone
     flat = start[0][0] - float(membrane.prestretch) < FLAT_END
-    lengths = np.array([_STEPS.smallest * (1e-2 if flat else 1.0), *bounds])
+    lengths = np.array([TRACE_CONTROL.smallest * (1e-2 if flat else 1.0), *bounds])
     grid = TraceGrid(TRACE_STEPS[level], np.array(TRACE_LOAD_LIMITS[level]), lengths)
     done = Trace(*_trace_program(membrane, condition, limits, start, True, grid))
     count, code = int(done.count), Code(int(done.code))

@@ -34,18 +34,6 @@ def html_table(heads: Sequence[str], rows: Sequence[Sequence[Any]], caption: str
     return f"<table>{title}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
-# what tables of states show
-_SHOWN = (
-    "voltage",
-    "pressure",
-    "volume",
-    "apex_stretch",
-    "height",
-    "charge",
-    "breakdown_ratio",
-    "index",
-    "error_estimate",
-)
 __all__ = ["QUANTITIES", "Branch", "Event", "Ramp", "SpecialPoint", "State", "events_table", "points_table"]
 
 #: the columns of a branch, in the order of the JSON document
@@ -60,6 +48,8 @@ QUANTITIES = (
     "index",
     "error_estimate",
 )
+# what tables of states show
+_SHOWN = ("voltage", *QUANTITIES[1:])
 
 
 def plain(value: Any) -> Any:

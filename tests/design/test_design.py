@@ -15,16 +15,6 @@ DOCS = pathlib.Path(__file__).parents[2] / "docs"
 CHAMBERS = {"chamber_volume": (500.0, 25000.0)}
 
 
-@pytest.fixture(scope="module")
-def surface():
-    return dj.Surface.build(dj.Membrane())
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return dj.Scene(dj.Membrane(), dj.Chamber(volume=1600.0, initial_volume=2.42))
-
-
 def test_the_bound_is_active(scene, surface):
     """At V_0 = 2.42 the strain grows with the chamber: 25.567264 at V_C = 25000."""
     best = dj.maximise_area_strain(scene, CHAMBERS, surface=surface)

@@ -8,16 +8,6 @@ from dielectric_jax import Regime
 
 
 @pytest.fixture(scope="module")
-def surface():
-    return dj.Surface.build(dj.Membrane())
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return dj.Scene(dj.Membrane(), dj.Chamber(volume=1600.0, initial_volume=2.42))
-
-
-@pytest.fixture(scope="module")
 def edges(scene, surface):
     return dj.design.regime_edges(scene, {"chamber_volume": (400.0, 2000.0)}, surface=surface)
 
