@@ -18,7 +18,19 @@ import numpy as np
 
 from ..design import surface_for
 from ..diagram import Diagram, Glance, curves_and_ramps, glance, pressure_volume, regime_of_diagram, voltage_volume
-from ..model import Chamber, ConstantPressure, ConstantVoltage, Event, Membrane, Regime, Scene, Window, parameter_of
+from ..model import (
+    Chamber,
+    ConstantPressure,
+    ConstantVoltage,
+    Event,
+    Membrane,
+    PointKind,
+    RampEvent,
+    Regime,
+    Scene,
+    Window,
+    parameter_of,
+)
 from ..numerics import SceneError
 from ..plot import (
     event_entries,
@@ -319,7 +331,7 @@ def _story(seen: Any) -> str:
     view, units = viewed(seen)
     if seen.kind == "pressure-volume":
         name = "" if units is None else f" {units.read_name('pressure')}"
-        folds = [p for p in view.special_points if p.kind == "fold"]
+        folds = [p for p in view.special_points if p.kind == PointKind.fold]
         folds_in_words = [f"p = {p.pressure:.6g}{name} at V = {p.volume:.5g}" for p in folds]
         return (
             "Folds of the pressure: " + "; ".join(folds_in_words) + "."
@@ -347,15 +359,15 @@ def _story(seen: Any) -> str:
 def _words(event: Event, following: Event | None, units: Any) -> str:
     """An event in words."""
     state = event.state
-    landed = following is not None and following.event == "landing"
-    if event.event in ("snap", "snap_back"):
+    landed = following is not None and following.event == RampEvent.landing
+    if event.event in (RampEvent.snap, RampEvent.snap_back):
         to = f" from V = {state.volume:.4g} to {following.state.volume:.4g}" if landed and following else ""
         ratio = (
             f" (E/E_EB = {following.state.breakdown_ratio:.3g})"
-            if landed and following and event.event == "snap"
+            if landed and following and event.event == RampEvent.snap
             else ""
         )
         return f"{event.event.replace('_', ' ').replace('snap', 'snaps', 1)} at {voltage_text(state.voltage, units)}{to}{ratio}"
-    if event.event == "breakdown":
+    if event.event == RampEvent.breakdown:
         return f"breaks down at {voltage_text(state.voltage, units)}"
     return ""

@@ -55,7 +55,7 @@ class Paper:
 
     def profiles(self) -> dict[str, Profile]:
         """Profiles of the membrane at p = 1.82: before the voltage, at the snap, and at its landing."""
-        events = {e.event: e.state for e in self.held(1.82).ramp().events}
+        events = {str(e.event): e.state for e in self.held(1.82).ramp().events}
         return {word: profile(_film(1.0), events[word]) for word in ("start", "snap", "landing")}
 
     def used(self) -> list[Diagram]:

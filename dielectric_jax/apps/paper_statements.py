@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..diagram import Diagram, equilibrium
-from ..model import Membrane, SpecialPoint, State
+from ..model import Membrane, PointKind, SpecialPoint, State
 from .paper_figures import fits
 
 __all__ = ["STATEMENTS", "Statement", "statements_table"]
@@ -45,7 +45,7 @@ def _fate(diagram: Diagram) -> str:
         return "survives the snap"
     (end,) = _events(diagram, "breakdown")
     ahead = isinstance(end, SpecialPoint) and any(
-        p.kind == "fold" and p.branch == end.branch and p.voltage_squared > end.voltage_squared
+        p.kind == PointKind.fold and p.branch == end.branch and p.voltage_squared > end.voltage_squared
         for p in diagram.special_points
     )
     return "breaks down before it snaps" if ahead else "breaks down without a snap"
@@ -66,7 +66,7 @@ def _snap_numbers(diagram: Diagram) -> dict[str, float]:
 
 def _folds(curve: Diagram) -> list[SpecialPoint]:
     """The folds in order along the branches."""
-    return sorted((p for p in curve.special_points if p.kind == "fold"), key=lambda p: (p.branch, p.position))
+    return sorted((p for p in curve.special_points if p.kind == PointKind.fold), key=lambda p: (p.branch, p.position))
 
 
 def _ruled(supported: bool) -> str:
@@ -148,7 +148,7 @@ def _statements_6(paper: Any) -> list[Statement]:
     diagram = paper.held(1.82)
     states = equilibrium(Membrane(), pressure=1.82, all=True)
     upper = max(
-        (p for p in diagram.special_points if p.kind == "breakdown"),
+        (p for p in diagram.special_points if p.kind == PointKind.breakdown),
         key=lambda p: p.volume,
     )
     snap = _events(diagram, "snap")[0]
@@ -189,7 +189,7 @@ def _statements_7(paper: Any) -> list[Statement]:
 def _statements_8(paper: Any) -> list[Statement]:
     diagram = paper.chamber(1600.0)
     numbers = _snap_numbers(diagram)
-    stable = [p for p in diagram.special_points if p.kind == "zero_voltage" and p.index == 0]
+    stable = [p for p in diagram.special_points if p.kind == PointKind.zero_voltage and p.index == 0]
     snap, landing = _events(diagram, "snap")[0], _events(diagram, "landing")[0]
     stays = not _events(diagram, "snap_back", "down")
     return [

@@ -146,7 +146,7 @@ def _jets_program(order: int):
     def jets(engine, membrane, u):
         return _jets(engine, membrane, u, order)
 
-    jets.__name__ = f"towers_{order}"
+    jets.__name__ = f"jets_{order}"
     return cached_jit(jets)
 
 
@@ -164,7 +164,7 @@ def _jets_by_leaf_program(order: int, k: int):
         columns = [jax.jvp(of_leaf, (leaf,), (jnp.asarray(entry),))[1] for entry in entries(leaf)]
         return jax.tree.map(lambda *v: jnp.stack(v, axis=-1), *columns)
 
-    jets_by_leaf.__name__ = f"towers_{order}_by_{k}"
+    jets_by_leaf.__name__ = f"jets_{order}_by_{k}"
     return cached_jit(jets_by_leaf)
 
 

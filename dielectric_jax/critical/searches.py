@@ -214,8 +214,10 @@ def _diagram_events(scene: Scene, surface: Surface | None) -> dict[str, np.ndarr
             table[name] = _of_state(up[name][0].state)
     if not up["snap"] and not unstable:
         # the branch may still fold past breakdown
-        position = next(p for p in diagram.special_points if p.kind == "zero_voltage" and _same(p, table["start"]))
-        ahead = [p for p in diagram.special_points if p.kind == "fold" and p.branch == position.branch]
+        position = next(
+            p for p in diagram.special_points if p.kind == PointKind.zero_voltage and _same(p, table["start"])
+        )
+        ahead = [p for p in diagram.special_points if p.kind == PointKind.fold and p.branch == position.branch]
         rising = _rising(diagram.branches[position.branch], position)
         ahead = [p for p in ahead if (p.position - position.position) * rising > 0]
         if ahead:

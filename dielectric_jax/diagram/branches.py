@@ -286,7 +286,7 @@ def special_record(located: Located, tolerance: float) -> SpecialPoint:
     values = {f: getattr(state, f) for f in State.__dataclass_fields__}
     values["index"] = None if kind == PointKind.fold else state.index
     values["error_estimate"] = located.error
-    if kind == "zero_voltage":
+    if kind == PointKind.zero_voltage:
         values |= {"voltage_squared": 0.0, "charge": 0.0, "breakdown_ratio": 0.0}
     values["flags"] = tuple(f for f in state.flags if f != "error_above_tolerance")
     values["flags"] += ("error_above_tolerance",) if not located.error <= tolerance else ()

@@ -314,7 +314,7 @@ def _diagram(kind: str, scene: Scene, solved: Solved, complete: bool, points: in
     return Diagram(kind, scene, _branches(solved, points), special, complete, _solver=solved, **fixed, **more)
 
 
-def _flat_point(membrane: Membrane, q: float, kind: str) -> SpecialPoint:
+def _flat_point(membrane: Membrane, q: float, kind: PointKind) -> SpecialPoint:
     values = vars(flat_state(membrane, q))
     return SpecialPoint(**values, kind=kind, branch=0, position=q)
 

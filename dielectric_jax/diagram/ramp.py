@@ -88,7 +88,7 @@ def _follow(solved, here, rising: bool, events: list, direction: str):
     held = solved.state(here)
     last = here
     landing = None
-    jump = "snap" if rising else "snap_back"
+    jump = RampEvent.snap if rising else RampEvent.snap_back
     for _ in range(MOST_JUMPS):
         kind, stop, side = _walk(solved, last, rising)
         if kind == "window":
@@ -99,7 +99,7 @@ def _follow(solved, here, rising: bool, events: list, direction: str):
         if kind == PointKind.breakdown:
             events.append(Event(RampEvent.breakdown, direction, state, "breakdown on the branch"))
             return state, "breakdown on the branch", landing, last
-        if kind == "zero_voltage":
+        if kind == PointKind.zero_voltage:
             events.append(Event(RampEvent.end, direction, state, "zero voltage"))
             return state, "zero voltage", landing, last
         held = state

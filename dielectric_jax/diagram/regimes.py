@@ -4,7 +4,7 @@ import typing
 
 import numpy as np
 
-from ..model import SCANNED_LOAD, FoldAhead, Outcome, Regime, Scene, SpecialPoint, regimes_of
+from ..model import SCANNED_LOAD, FoldAhead, Outcome, PointKind, RampEvent, Regime, Scene, SpecialPoint, regimes_of
 from ..surface import Surface
 from .diagrams import Diagram, voltage_volume
 from .ramp import ENDS
@@ -28,7 +28,7 @@ def regime_of_diagram(diagram: Diagram) -> Regime:
     outcome = ENDS.get(up.area_strain_reason or "", Outcome.unresolved)
     if outcome == Outcome.unresolved:
         return Regime.undetermined
-    back = any(e.event == "snap_back" for e in down)
+    back = any(e.event == RampEvent.snap_back for e in down)
     snaps = len(up["snap"])
     if (
         snaps
@@ -48,7 +48,7 @@ def _fold_ahead(diagram: Diagram, start, broken) -> FoldAhead:
     end = typing.cast(SpecialPoint, _point_of(diagram, "breakdown", broken))
     begin = typing.cast(SpecialPoint, _point_of(diagram, "zero_voltage", start))
     rising = np.sign(end.position - begin.position)
-    ahead = [p for p in diagram.special_points if p.kind == "fold" and p.branch == end.branch]
+    ahead = [p for p in diagram.special_points if p.kind == PointKind.fold and p.branch == end.branch]
     ahead = [p for p in ahead if (p.position - end.position) * rising > 0]
     if not ahead:
         return FoldAhead.none

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..numerics import Code
+from .kinds import PointKind, RampEvent
 
 __all__ = ["html_table"]
 
@@ -119,7 +120,7 @@ class State:
 class SpecialPoint(State):
     """A located point of a branch: `kind` is fold, zero_voltage, breakdown, hoop_tension_loss or slack."""
 
-    kind: str = ""
+    kind: PointKind = dataclasses.field(kw_only=True)
     branch: int = 0
     #: arclength along the branch, for ordering; not part of the JSON
     position: float = 0.0
@@ -180,7 +181,7 @@ class Branch:
 class Event:
     """One event of a ramp: start, snap, landing, snap_back, breakdown, no_landing or end."""
 
-    event: str
+    event: RampEvent
     direction: str
     state: State
     reason: str | None = None

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..model import State, Units, profile, voltage_of
+from ..model import RampEvent, State, Units, profile, voltage_of
 from .drawing import COLOURS, GAS, add_legend, axis_label, draw_events, event_entries, new_axes, new_figure, viewed
 from .states import plot_cross_section
 
@@ -55,11 +55,11 @@ def ramp_path(diagram: Any, direction: str = "up") -> dict[str, np.ndarray]:
     events = diagram.ramp(direction).events
     pieces, legs = [], []
     for one, other in itertools.pairwise(events):
-        if one.event in _JUMPS or other.event == "no_landing" or other.reason == "breakdown in the snap":
+        if one.event in _JUMPS or other.event == RampEvent.no_landing or other.reason == "breakdown in the snap":
             continue
         pieces.append(_between(diagram, one.state, other.state))
         legs.append(np.full(pieces[-1].shape[1], sum(e.event in _JUMPS for e in events[: events.index(one) + 1])))
-    landed = [e.state for e in events if e.event == "landing"]
+    landed = [e.state for e in events if e.event == RampEvent.landing]
     if landed and diagram.area_strain_reason == "breakdown in the snap" and direction == "up":
         pieces.append(np.array([[getattr(landed[-1], n)] for n in _QUANTITIES]))
         legs.append(np.array([legs[-1][-1] + 1 if legs else 0]))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..model import PrescribedVolume, SpecialPoint, control_of, mechanical, voltage_of
+from ..model import PointKind, PrescribedVolume, RampEvent, SpecialPoint, control_of, mechanical, voltage_of
 from .drawing import (
     COLOURS,
     GAS,
@@ -219,7 +219,7 @@ def chamber_voltages(diagram: Any) -> list[float]:
     """The voltages whose pressure–volume curves illustrate a ramp best: zero, at each snap up, and at its end."""
     voltages = [0.0]
     for event in diagram.events:
-        if event.direction == "up" and event.event in ("snap", "breakdown", "end"):
+        if event.direction == "up" and event.event in (RampEvent.snap, RampEvent.breakdown, RampEvent.end):
             phi = event.state.voltage
             if all(abs(phi - other) > 1e-6 for other in voltages):
                 voltages.append(phi)
@@ -274,7 +274,7 @@ def _limit(ax: Axes, right: float, top: float) -> None:
 
 def _frame_pressure(ax: Axes, diagrams: Sequence[Any], whole: bool) -> None:
     """Sets limits that show the folds or, without folds, the curves up to half of their largest volume."""
-    folds = [p for d in diagrams for p in d.special_points if p.kind == "fold"]
+    folds = [p for d in diagrams for p in d.special_points if p.kind == PointKind.fold]
     branches = [b for d in diagrams for b in d.branches]
     if not branches:
         return
@@ -295,6 +295,6 @@ def _frame_chamber(ax: Axes, diagram: Any, curves: Sequence[Any]) -> None:
     """Sets pressure limits for volumes that are already framed: the curves' peaks there, and the events."""
     v_max = ax.get_xlim()[1]
     top = [e.state.pressure for e in diagram.events]
-    top += [p.pressure for c in curves for p in c.special_points if p.kind == "fold" and p.volume <= v_max]
+    top += [p.pressure for c in curves for p in c.special_points if p.kind == PointKind.fold and p.volume <= v_max]
     if top:
         _limit(ax, v_max, 1.2 * max(top))

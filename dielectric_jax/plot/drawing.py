@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..model import Branch, Event, SpecialPoint, State
+from ..model import Branch, Event, PointKind, RampEvent, SpecialPoint, State
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -211,7 +211,7 @@ def _turn(
     low, high = ends.min(axis=0) - room, ends.max(axis=0) + room
     for p in points:
         here = np.array([p.volume, p.apex_stretch])
-        if p.kind == "fold" and np.all(low <= here) and np.all(here <= high):
+        if p.kind == PointKind.fold and np.all(low <= here) and np.all(here <= high):
             before, after = (float(np.linalg.norm(here - end)) for end in ends)
             height = p.charge**2 if name == "charge_squared" else float(getattr(p, name))
             if not np.isfinite(height):
@@ -247,7 +247,7 @@ def draw_points(ax: Axes, points: Iterable[SpecialPoint], name: str, across: str
         style: dict[str, Any] = (
             {"color": "black"} if face is None else {"markerfacecolor": face, "markeredgecolor": "black"}
         )
-        size = 7 if p.kind == "breakdown" else 5
+        size = 7 if p.kind == PointKind.breakdown else 5
         ax.plot(getattr(p, across), getattr(p, name), marker, markersize=size, markeredgewidth=1.2, zorder=4, **style)
 
 
@@ -263,10 +263,14 @@ def draw_events(
     for event, following in itertools.zip_longest(events, events[1:]):
         colour = _UP if event.direction == "up" else _DOWN
         state = event.state
-        if event.event in ("snap", "snap_back") and following is not None and following.event == "landing":
+        if (
+            event.event in (RampEvent.snap, RampEvent.snap_back)
+            and following is not None
+            and following.event == RampEvent.landing
+        ):
             _draw_jump(ax, state, following.state, name, across, colour, gas_line)
-        if event.event in _EVENTS and not (event.event == "start" and event.direction == "down"):
-            size = 9 if event.event == "breakdown" else 6.5
+        if event.event in _EVENTS and not (event.event == RampEvent.start and event.direction == "down"):
+            size = 9 if event.event == RampEvent.breakdown else 6.5
             ax.plot(
                 *(getattr(state, across), getattr(state, name)),
                 _EVENTS[event.event][0],
@@ -337,11 +341,11 @@ def event_entries(events: Sequence[Event]) -> list[tuple[Any, str]]:
     for name, (marker, word) in _EVENTS.items():
         if any(e.event == name and e.direction == "up" for e in events):
             entries.append(line_entry(word, colour=_UP, marker=marker, linestyle="None", markersize=6.5))
-    if any(e.event == "snap" for e in events):
+    if any(e.event == RampEvent.snap for e in events):
         entries.append(line_entry("snap", colour=_UP))
-    if any(e.event == "snap_back" for e in events):
+    if any(e.event == RampEvent.snap_back for e in events):
         entries.append(line_entry("snap back", colour=_DOWN))
-    if any(e.event == "end" and e.direction == "down" for e in events):
+    if any(e.event == RampEvent.end and e.direction == "down" for e in events):
         entries.append(line_entry("end of the ramp down", colour=_DOWN, marker=">", linestyle="None", markersize=6.5))
     return entries
 

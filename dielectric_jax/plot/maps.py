@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..model import REGIME_COLOURS, Regime, parameter_of
+from ..model import REGIME_COLOURS, PointKind, Regime, parameter_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -99,7 +99,7 @@ def plot_fold_curves(data: Any, *, ax: Axes | None = None, legend: bool = True) 
     for curve in data.curves:
         x, pressure, voltage, ratio = curve.line.T
         y = voltage if data.control == "voltage" else pressure
-        if curve.kind == "breakdown":
+        if curve.kind == PointKind.breakdown:
             drawn["electric breakdown"] = ax.plot(x, y, **styles["electric breakdown"])[0]
             continue
         unbroken = ratio <= 1 + 1e-9

@@ -11,7 +11,7 @@ import typing
 import numpy as np
 
 from ..diagram import ENDS, LISTED, SLOTS, Diagram, RampArrays, Ramps, Slot, ramps_of, regime_of_diagram
-from ..model import FoldAhead, Outcome, PointKind, Regime, State, field_on
+from ..model import FoldAhead, Outcome, PointKind, RampEvent, Regime, State, field_on
 from ..numerics import Code
 from ..surface import ROWS
 
@@ -196,9 +196,9 @@ def answer_of_diagram(diagram: Diagram) -> dict[str, np.ndarray]:
         (Slot.snaps.start, [e.state for e in up["snap"]][:2]),
         (Slot.landings.start, [e.state for e in up["landing"]][:2]),
         (Slot.breakdown, [e.state for e in up["breakdown"] if e.reason == "breakdown on the branch"]),
-        (Slot.snap_backs.start, [e.state for e in down if e.event == "snap_back"][:2]),
-        (Slot.landings_back.start, [e.state for e in down if e.event == "landing"][:2]),
-        (Slot.rest, [e.state for e in down if e.event == "end" and e.reason == "zero voltage"]),
+        (Slot.snap_backs.start, [e.state for e in down if e.event == RampEvent.snap_back][:2]),
+        (Slot.landings_back.start, [e.state for e in down if e.event == RampEvent.landing][:2]),
+        (Slot.rest, [e.state for e in down if e.event == RampEvent.end and e.reason == "zero voltage"]),
     ):
         for i, state in enumerate(states):
             put(events, first + i, state)
