@@ -180,7 +180,7 @@ def _jets(surface: Surface | SurfaceFamily, places: np.ndarray) -> list[np.ndarr
 def _program(equations: Callable, names: tuple, segment: bool) -> Callable:
     """Equations and measures (n, …) of designs, and their Jacobians by (u, θ), as a program.
 
-    Its arguments are the scene and, for every design, the jets of the sheet at its points, those points, the parameters at
+    Its arguments are the scene and, for every design, the jets of the surface at its points, those points, the parameters at
     the two ends of its segment, and its unknowns. Without a `segment` both ends are the design itself.
     """
 
@@ -205,9 +205,9 @@ def _program(equations: Callable, names: tuple, segment: bool) -> Callable:
 
 @dataclasses.dataclass(frozen=True)
 class System:
-    """Equations for the unknowns u of designs, and the sheet of states that they read.
+    """Equations for the unknowns u of designs, and the surface that they evaluate.
 
-    `equations(conditions, u)` gives the rows that vanish and further measures; `points` says where they read the sheet: pairs
+    `equations(conditions, u)` gives the rows that vanish and further measures; `points` says where they evaluate the surface: pairs
     (unknown that is λa, unknown that is q or −1 for q = 0). A design θ is the `scene` with the parameters `names` at its
     values. Whole blocks of `lanes` designs share one compiled program. `far` reads the last of the points where it is given,
     to first order: equations may take its state, no slopes.
@@ -222,7 +222,7 @@ class System:
     far: FarStates | None = None
 
     def places(self, u: np.ndarray, theta: np.ndarray) -> np.ndarray:
-        """The points of designs θ on the sheet: (λa, q), on a family (λa, q, λ0); an array (n, points, 2 or 3)."""
+        """The points of designs θ on the surface: (λa, q), on a family (λa, q, λ0); an array (n, points, 2 or 3)."""
         apex = np.stack([u[:, a] for a, _ in self.points], axis=1)
         load = np.stack([u[:, q] if q >= 0 else np.zeros(len(u)) for _, q in self.points], axis=1)
         columns = [apex, load]

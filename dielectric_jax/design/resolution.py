@@ -102,7 +102,7 @@ TYPICAL_STRETCH = 5.0
 
 # ---- Newton's method on the surface
 
-#: points of the sheet that one compiled call reads: few, and many
+#: points of the surface that one compiled call reads: few, and many
 BLOCKS_OF_POINTS = 8, 32
 #: iterations of Newton's method for designs
 ITERATIONS = 14

@@ -185,7 +185,7 @@ def _branches(solved: Solved, points: int) -> list[Branch]:
 
 
 def _branch(curve: Curve, tolerance: float, points: int, more_flags: tuple) -> Branch:
-    """The record of a branch; fewer points than stations are thinned out of them."""
+    """The record of a branch; fewer points than the mesh has are thinned out of it."""
     chosen = np.arange(len(curve.points))
     if points < MESH_POINTS and len(chosen) > points:
         chosen = np.unique(np.linspace(0, len(chosen) - 1, points).round().astype(int))
@@ -258,7 +258,7 @@ def voltage_volume(
     are those of the charge.
     Arguments: `points` a branch; `tolerance` of the error estimate, from 1e-12 to 1e-3. With a `surface` of the scene's
     membrane, branches are contours on it, found by Newton without stepping; where they leave its domain shooting goes on,
-    or with `extend=False` they end there. `certify` polishes special points by shooting; the correction is part of their
+    or with `extend=False` they end there. `certify` corrects special points by shooting; the correction is part of their
     error. Both mean nothing without a surface.
     Raises ValueError for bad input and SceneError where no tensile equilibrium lies in the window.
 

@@ -150,13 +150,13 @@ def _voltage_volume(scene: Scene, surface: Surface, curves: Curves, ramps: Ramps
     events = () if outcome == Outcome.unresolved else tuple(_events(rows, ramps, outcome))
     regime = Regime(int(ramps.regime))
     strain = float(ramps.area_strain)
-    kept = _Cached("voltage-volume", scene, branches, points, None)
-    return kept.glance(
+    parts = _Parts("voltage-volume", scene, branches, points, None)
+    return parts.glance(
         events=events, outcome=outcome, regime=regime, area_strain=strain, several=bool(curves.several.any())
     )
 
 
-class _Cached(typing.NamedTuple):
+class _Parts(typing.NamedTuple):
     """What both kinds of diagram have."""
 
     kind: str
@@ -282,8 +282,8 @@ def _pressure_volume(scene: Scene, surface: Surface, voltage: float) -> Glance:
     if not branches:
         raise SceneError(Code.surface_edge, _NOTHING)
     points = [p for k, b in enumerate(branches) if len(b) > 6 for p in _extremes(rows.surface, b, k)]
-    kept = _Cached("pressure-volume", scene, branches, points, voltage)
-    return kept.glance(events=(), outcome=None, regime=Regime.not_decided, area_strain=np.nan, several=False)
+    parts = _Parts("pressure-volume", scene, branches, points, voltage)
+    return parts.glance(events=(), outcome=None, regime=Regime.not_decided, area_strain=np.nan, several=False)
 
 
 def _extremes(surface: Surface, branch: Branch, number: int) -> typing.Iterator[SpecialPoint]:

@@ -1,4 +1,4 @@
-"""A traced branch as exact points: stations along it, Newton at each, refinement where it turns, honest ends."""
+"""A traced branch as exact points: a mesh along it, Newton at each of its points, refinement where it turns, and how it ends."""
 
 import dataclasses
 from collections.abc import Callable
@@ -41,12 +41,12 @@ def _cone_measure(membrane, line) -> np.ndarray:
 
 
 def _resample(membrane, line, tangents, count):
-    """`count` stations on the traced points: predictions (count, 3) and plane normals, scaled.
+    """`count` mesh points on the traced points: predictions (count, 3) and plane normals, scaled.
 
     They are equally spaced in what a reader sees, closer where the apex sharpens to a cone.
     """
     gap = np.linalg.norm(np.diff(line, axis=0), axis=1)
-    # fewer stations where the pressure shoots up at lock-up and where q < 0, which no voltage reaches
+    # fewer mesh points where the pressure shoots up at lock-up and where q < 0, which no voltage reaches
     q = line[:, 2]
     seen = np.stack(
         [
@@ -87,7 +87,7 @@ def clip_to_window(line, tangents, inside, end):
 
 
 def _mesh_points(solver, line, tangents, count, tolerance, chart) -> tuple[Points, np.ndarray, np.ndarray]:
-    """Exact points at stations of a traced line (scaled), which of them are good, and the loads where they were sought."""
+    """Exact points on the mesh of a traced line (scaled), which of them are good, and the loads where they were looked for."""
     at, normal = _resample(solver.membrane, line, tangents, count)
     # at the flat end p falls like a power of λa − λ0, which no Hermite cubic follows: start on the scan
     flat = at[:, 0] - float(solver.membrane.prestretch) < 0.02
@@ -111,7 +111,7 @@ def exact_curve(solver, line, tangents, codes, count, tolerance, chart, retrace:
     """The traced branch (scaled) as exact points, and whether it goes as far as it should.
 
     `retrace(u, direction)` follows the branch from an exact point on the finest grid: a scaled line, its tangents and the
-    code of its end. It is used where stations are lost inside the scanned window.
+    code of its end. It is used where mesh points are lost inside the scanned window.
     """
     points, good, sought = _mesh_points(solver, line, tangents, count, tolerance, chart)
     if good.sum() < 2:
@@ -119,7 +119,7 @@ def exact_curve(solver, line, tangents, codes, count, tolerance, chart, retrace:
     kept = np.flatnonzero(good)
     ends_lost = kept[0] > 0, kept[-1] < len(points) - 1
     points, gaps = points.take(kept), np.flatnonzero(np.diff(kept) > 1)
-    # beyond the scanned loads a lost station is missed only where the refinement below wants it
+    # beyond the scanned loads a lost point is missed only where the refinement below wants it
     gaps = gaps[load_fraction(solver.membrane, points.u)[gaps] < SCANNED_LOAD]
     missing = ~good & (sought < SCANNED_LOAD)
     missing[: kept[0]] = missing[kept[-1] :] = False
@@ -172,9 +172,9 @@ def _reversed(points: Points) -> Points:
 
 
 def _extend(solver, points, end, count, tolerance, chart, retrace) -> tuple[Points, Code | None]:
-    """Points with the stations that a trace on the finest grid finds beyond an end (0 or 1), and why it ended.
+    """Points with those that a trace on the finest grid finds beyond an end (0 or 1), and why it ended.
 
-    No code where stations were lost again. Only below the load to which the scan goes.
+    No code where points were lost again. Only below the load to which the scan goes.
     """
     if end == 0:
         found, code = _extend(solver, _reversed(points), 1, count, tolerance, chart, retrace)
@@ -185,7 +185,7 @@ def _extend(solver, points, end, count, tolerance, chart, retrace) -> tuple[Poin
     if len(line) < 3:
         return points, None
     more, good, _ = _mesh_points(solver, line, tangents, count, tolerance, chart)
-    reached = int(np.argmin(np.append(good[1:], False)))  # good stations in a row after the first, which is known
+    reached = int(np.argmin(np.append(good[1:], False)))  # good points in a row after the first, which is known
     more = more.take(np.arange(1, reached + 1))
     joined = Points.join([points, more]) if reached else points
     return joined, code if reached == len(good) - 1 else None

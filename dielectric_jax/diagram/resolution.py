@@ -53,7 +53,7 @@ MOST_JUMPS = 50  # of a ramp
 SAME_STRETCH = 1e-3  # of the apex stretch: beside a fold it is the less exact
 
 # Batches by continuation. Sizes are measured by benchmarks.speed.batch_diagrams and lane_profile, limits checked by
-# benchmarks.truth.ensemble and benchmarks.acceptance.one_answer.
+# benchmarks.acceptance.ensemble and benchmarks.acceptance.one_answer.
 # the step control of a march
 MARCH_CONTROL = Steps(
     first=0.2,
@@ -113,7 +113,7 @@ CLOSE_ROWS = 1e-3  # of the stretch: nearer places show no slope
 SLOW_RISE = 0.02  # of q/λa: a slope dq/dλa below it may hide two folds
 TURNING = 0.2  # of the rise before: a contour that leaves the window more slowly may turn outside
 
-# Diagrams, ramps and glances on a surface. Errors are checked by benchmarks.acceptance.surface and one_answer, sizes
+# Diagrams and ramps on a surface. Errors are checked by benchmarks.acceptance.surface_error and one_answer, sizes
 # measured by benchmarks.speed.sweep_throughput.
 SURFACE_NEWTON = 8  # steps of Newton on the surface, at most
 SURFACE_CONVERGED = 1e-9  # size of the last move, in λa and t

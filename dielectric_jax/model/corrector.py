@@ -176,7 +176,7 @@ def locking_stretch(membrane: Membrane) -> float:
 
 
 def difficulty(locks_from, apex_stretch: np.ndarray, load_fraction: np.ndarray) -> np.ndarray:
-    """Which ladder of grids resolves the membrane, an index of `GRIDS` for each lane; see `locking_stretch`."""
+    """Which sequence of grids resolves the membrane, an index of `GRIDS` for each lane; see `locking_stretch`."""
     locking = apex_stretch > locks_from
     return (
         (locking & (load_fraction > LAYER_LOADS[0])).astype(int)
@@ -266,7 +266,7 @@ class _Goal(typing.NamedTuple):
 
 
 class _Newton:
-    """Newton on lanes that share one ladder of grids: their states, linearisations and error estimates so far.
+    """Newton on lanes that share one sequence of grids: their states, linearisations and error estimates so far.
 
     `matrix` (lanes, 3, 3) is the Jacobian of rim condition, loading and goal, `sensitivities` (3, 2, lanes) and `zeros` are
     those of `jacobian_program`. `change` is what the last finer grid changed, `chord` what the chord steps leave, relative.
@@ -351,15 +351,15 @@ class _Newton:
 
     def climb(self, refine) -> None:
         """Deferred correction of the settled lanes on finer and finer grids, until their estimates meet the tolerance."""
-        ladder = GRIDS[self.level]
+        grids = GRIDS[self.level]
         active = np.flatnonzero(self.settled)
-        for steps in ladder[1:]:
+        for steps in grids[1:]:
             if not len(active):
                 break
-            self._correct(active, steps, last=steps == ladder[-1])
+            self._correct(active, steps, last=steps == grids[-1])
             self._estimate_errors(active)
             # stresses along the membrane want one grid more than the state
-            enough = (self.estimate[active] <= self.tolerance) & ~(refine[active] & (steps == ladder[1]))
+            enough = (self.estimate[active] <= self.tolerance) & ~(refine[active] & (steps == grids[1]))
             active = active[~enough]
         if self.level and len(active):
             self._correct_adaptively(active)

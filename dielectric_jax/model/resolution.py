@@ -62,9 +62,9 @@ MOST_KINDS = 16
 GRIDS = ((16.0, 32.0, 64.0, 128.0), (24.0, 48.0, 96.0, 192.0, 320.0), (80.0, 160.0, 320.0))
 # share of the lock-up stretch beyond which a high load forms an inner layer
 LAYER_STRETCH = 0.72
-# load fractions above which that layer needs the second and the third ladder of `GRIDS`
+# load fractions above which that layer needs the second and the third sequence of `GRIDS`
 LAYER_LOADS = (0.7, 0.86)
-# load fraction above which any other state is near the cone and needs the third ladder
+# load fraction above which any other state is near the cone and needs the third sequence
 CONE_LOAD = 0.93
 # iterations of Newton at most, by difficulty; a lane that needs more is not converged
 NEWTON_TRIES = (9, 6, 9)

@@ -1,4 +1,4 @@
-"""The sheet of all tensile equilibria of one membrane, as piecewise Chebyshev polynomials of (λa, t).
+"""The manifold of all tensile equilibria of one membrane, as piecewise Chebyshev polynomials of (λa, t).
 
 On the chart (λa, t = q/q_max(λa)) every quantity of a state is smooth once its behaviour at the edges is divided out: with
 m = √(λa − λ0) and the tension of the apex s_a = W_1(λa, λa)(1 − t),

@@ -4,6 +4,7 @@ import ast
 import graphlib
 import importlib
 import pathlib
+import re
 
 import pytest
 
@@ -145,3 +146,26 @@ def f():
         ("plot", "diagrams"),
         ("surface", ""),
     ]
+
+
+@pytest.mark.parametrize("path", sorted(PACKAGE.glob("*/resolution.py")), ids=lambda p: p.parent.name)
+def test_tuned_numbers_are_explained_and_used(path):
+    lines = path.read_text(encoding="utf-8").splitlines()
+    others = "".join(p.read_text(encoding="utf-8") for p in PACKAGE.rglob("*.py") if p != path)
+    for node in ast.parse("\n".join(lines)).body:
+        if isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            names = [n.id for t in targets for n in ast.walk(t) if isinstance(n, ast.Name)]
+            if names == ["__all__"]:
+                continue
+            above, own = lines[node.lineno - 2], lines[node.lineno - 1 : node.end_lineno]
+            assert above.startswith("#") or any("  # " in line for line in own), names
+            used = others + "\n".join(lines[node.end_lineno :])
+            assert all(re.search(rf"\b{name}\b", used) for name in names), names
+
+
+def test_benchmarks_that_comments_name_exist():
+    root = PACKAGE.parent
+    for path in PACKAGE.rglob("*.py"):
+        for package, script in re.findall(r"benchmarks[./](\w+)[./](\w+)", path.read_text(encoding="utf-8")):
+            assert (root / "benchmarks" / package / f"{script}.py").exists(), f"{path.name}: {package}/{script}"
