@@ -122,7 +122,7 @@ def _check(scene, parameter, within, samples, kinds, largest_ratio) -> tuple[flo
         raise ValueError(
             f"`loading` must be a Chamber, a ConstantPressure or a ConstantVoltage here, but is {scene.loading!r}."
         )
-    scene.path_of(parameter)
+    scene.check_varies(parameter)
     low, high = pair("within", within)
     for value in (low, high):
         scene.replace(**{parameter: value})

@@ -49,6 +49,8 @@ def designs_of(scene: Scene, parameters: dict) -> Scene:
     Raises ValueError for names or values that the scene does not take.
     """
     names = tuple(parameters)
+    for name in names:
+        scene.check_varies(name)
     values = [np.asarray(parameters[n], float) for n in names]
     ends = {f(v) for v in np.stack(values, axis=1).tolist() for f in (tuple,)} if len(values[0]) <= 4 else set()
     for own in ends or {tuple(v.min() for v in values), tuple(v.max() for v in values)}:

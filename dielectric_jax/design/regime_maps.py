@@ -174,9 +174,9 @@ def even(name: str, limits, count: int) -> np.ndarray:
 
 
 def check_range(name: str, limits, scene: Scene | None = None) -> tuple[float, float]:
-    """A pair (low, high) of a parameter, which the `scene` has."""
+    """A pair (low, high) of a parameter, a number that the `scene` has."""
     if scene is not None:
-        scene.path_of(name)
+        scene.check_varies(name)
     try:
         low, high = (float(v) for v in limits)
     except (TypeError, ValueError, OverflowError):
