@@ -18,7 +18,7 @@ from ..numerics import check_whole
 from ..surface import Surface, SurfaceFamily
 from .constrained_search import NEAR, Climb, Wishes, axis_of, inwards, scan_designs
 from .design_points import Kind, begin_of
-from .designs import classify_designs, surface_for
+from .designs import check_loading, classify_designs, surface_for
 from .regime_maps import even
 from .scenarios import scenarios_of
 
@@ -116,6 +116,7 @@ def maximise_area_strain(
         raise ValueError("`over` must name at least one parameter, but is empty.")
     if len(over) > _MOST_SOUGHT:
         raise ValueError(f"`over` must name at most {_MOST_SOUGHT} parameters, but names {len(over)}.")
+    check_loading(scene)
     check_whole("compare", compare, 0, 10_000_000)
     wishes = Wishes(survival_margin, operating_margin, must_snap, way_down)
     axes = [axis_of(name, limits, scene) for name, limits in over.items()]

@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 from ..diagram import MembraneKey, Ramps, chamber_ramps, continue_scenes, loading_arrays, pressure_ramps, regime_of
-from ..model import Chamber, Change, ConstantPressure, Membrane, Regime, Scene, change_of, field_on
+from ..model import Chamber, Change, ConstantPressure, Membrane, Regime, Scene, change_of, field_on, other_loading
 from ..numerics import SceneError
 from ..surface import ById, Surface, SurfaceFamily
 
@@ -22,6 +22,7 @@ __all__ = [
     "Designs",
     "by_continuation",
     "by_diagrams",
+    "check_loading",
     "classify_designs",
     "designs_on_surfaces",
     "surface_for",
@@ -41,6 +42,12 @@ class Designs(typing.NamedTuple):
     regime: np.ndarray
     ramps: Ramps
     membrane_number: np.ndarray
+
+
+def check_loading(scene: Scene) -> None:
+    """Raises ValueError for a loading whose ramps the surface does not know."""
+    if not isinstance(scene.loading, (Chamber, ConstantPressure)):
+        raise other_loading(scene.loading, Chamber, ConstantPressure)
 
 
 def designs_of(scene: Scene, parameters: dict) -> Scene:
@@ -136,8 +143,7 @@ def classify_designs(
 
 def designs_on_surfaces(scene: Scene, parameters: dict, *, surface: Surface | SurfaceFamily | None) -> Designs:
     """Designs as far as the surfaces of their membranes decide them."""
-    if not isinstance(scene.loading, (Chamber, ConstantPressure)):
-        raise ValueError(f"`loading` must be a Chamber or a ConstantPressure here, but is {scene.loading!r}.")
+    check_loading(scene)
     stacked_scenes = designs_of(scene, parameters)
     count = len(stacked_scenes.membrane.prestretch)
     keys: dict = {}

@@ -20,6 +20,7 @@ from .designs import (
     Designs,
     by_continuation,
     by_diagrams,
+    check_loading,
     designs_on_surfaces,
     surface_for,
     surface_over,
@@ -192,6 +193,7 @@ class _Known:
     """The designs classified so far, by what they are: regimes and ramps."""
 
     def __init__(self, scene: Scene, over: dict, surface, *, diagrams: bool = False):
+        check_loading(scene)
         ranges = {name: check_range(name, limits, scene) for name, limits in over.items()}
         self.scene, self.names = scene, tuple(over)
         self.surface = surface_over(scene, ranges, surface)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import dielectric_jax as dj
+from benchmarks.acceptance import parameters as acceptance
 from dielectric_jax.apps.options import read_arguments
 from dielectric_jax.model import PARAMETERS, Change, describe
 from dielectric_jax.model.scene import constants_of
@@ -158,3 +159,30 @@ def test_the_derivative_by_a_constant_of_the_elasticity_of_a_dielectric():
     h = 0.05
     up, down = (dj.snap_voltage(DIELECTRIC.replace(stretch_limit=120.0 + s * h)) for s in (1, -1))
     np.testing.assert_allclose(slope, (up - down) / (2 * h), rtol=1e-6)
+
+
+SCENES = acceptance.scenes()
+
+
+@pytest.mark.parametrize("label", SCENES)
+def test_every_parameter_in_documents_files_and_options(label):
+    """Of every material, breakdown law and loading: replaced and described, in TOML and back, as an option and in its help."""
+    scene = SCENES[label]
+    rows = [acceptance.ask(scene, n, v) for n in acceptance.names_of(scene) for v in acceptance.CHEAP]
+    assert [r for r in rows if r["answer"] == "wrong"] == []
+    replaced = {r["parameter"] for r in rows if r["verb"] == "replace" and r["answer"] == "agrees"}
+    assert replaced == {n for n in acceptance.names_of(scene) if scene.has(n)}
+
+
+@pytest.mark.parametrize("verb", acceptance.COMPUTED)
+def test_what_a_verb_does_not_take_is_refused_in_a_sentence(verb):
+    """Parameters of other loadings and materials, loadings that a verb does not take, and lists of numbers."""
+    asked = [
+        (label, n)
+        for label, scene in SCENES.items()
+        for n in acceptance.names_of(scene)
+        if acceptance.reasons(scene, n, verb)
+    ]
+    assert len(asked) > 200
+    rows = [{"scene": label} | acceptance.ask(SCENES[label], n, verb) for label, n in asked]
+    assert [r for r in rows if r["answer"] != "refused"] == []
