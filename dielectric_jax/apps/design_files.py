@@ -2,7 +2,7 @@
 
 from ..model import Scene, place_of
 from ..numerics import shown
-from ..sweeps import check_dimensionless, number, read_toml, refuse, scene_of, table
+from ..sweeps import check_dimensionless, number, other_filling_left_out, read_toml, refuse, scene_of, table
 
 __all__ = ["read_design_file"]
 
@@ -54,6 +54,7 @@ def read_design_file(path: str, command: str) -> tuple[Scene, dict, dict]:
         options["uncertain"] = {name: number("uncertain", name, share) for name, share in given.items()}
     scene, constants = (table(name, document.get(name, {})) for name in ("scene", "units"))
     sought = {n: low for n, (low, _) in over.items() if place_of(n)[0] != "units"}
+    scene = other_filling_left_out(scene, over)
     made = scene_of(sought | scene, constants)
     check_dimensionless(scene | over, constants)
     return made, over, options

@@ -27,6 +27,7 @@ from ..model import (
     is_concrete,
     largest_load,
     locking_stretch,
+    other_loading,
 )
 from ..numerics import Code, SceneError
 from ..surface import Surface
@@ -142,7 +143,7 @@ def check(scene: Scene, surface) -> None:
     if not isinstance(scene, Scene):
         raise ValueError(f"`scene` must be a Scene, but is a {type(scene).__name__}.")
     if isinstance(scene.loading, ConstantVoltage) or not isinstance(scene.loading, (Chamber, ConstantPressure)):
-        raise ValueError(f"`loading` must be a Chamber or a ConstantPressure here, but is {scene.loading!r}.")
+        raise other_loading(scene.loading, Chamber, ConstantPressure)
     if surface is not None and not isinstance(surface, Surface):
         raise ValueError(f"`surface` must be a Surface, but is a {type(surface).__name__}.")
 

@@ -9,7 +9,7 @@ import typing
 import numpy as np
 
 from ..diagram import filling
-from ..model import Chamber, ConstantPressure, ConstantVoltage, Membrane, PointKind, Scene
+from ..model import Chamber, ConstantPressure, ConstantVoltage, Membrane, PointKind, Scene, other_loading
 from ..numerics import Code, SceneError
 from .critical_points import CriticalPoint, engine_of, find, point_of, start_of
 from .fixed_load import chamber_cusps, leaf_of, none, onset, pressure_extremes, zero_states
@@ -80,8 +80,7 @@ def _check(scene, kinds) -> None:
     if not isinstance(scene, Scene):
         raise ValueError(f"`scene` must be a Scene, but is a {type(scene).__name__}.")
     if not isinstance(scene.loading, kinds):
-        names = " or a ".join(kind.__name__ for kind in kinds)
-        raise ValueError(f"`loading` must be a {names} here, but is {scene.loading!r}.")
+        raise other_loading(scene.loading, *kinds)
 
 
 def zero_voltage_point(scene: Scene, number: int = 0, *, throw: bool = True) -> CriticalPoint:

@@ -17,7 +17,7 @@ import math
 import numpy as np
 
 from ..diagram import hermite, pressure_volume, voltage_volume
-from ..model import SCALE, Chamber, ConstantPressure, ConstantVoltage, PointKind, Scene, pair, plain
+from ..model import SCALE, Chamber, ConstantPressure, ConstantVoltage, PointKind, Scene, other_loading, pair, plain
 from ..numerics import SceneError
 from ..plot import plot_fold_curves
 from .fold_continuation import ConditionsOver, Followed, Lost, Place, System, follow
@@ -117,10 +117,8 @@ def _check(scene, parameter, within, samples, kinds, largest_ratio) -> tuple[flo
     if not isinstance(scene, Scene):
         raise ValueError(f"`scene` must be a Scene, but is a {type(scene).__name__}.")
     if not isinstance(scene.loading, (Chamber, ConstantPressure, ConstantVoltage)):
-        raise ValueError(
-            f"`loading` must be a Chamber, a ConstantPressure or a ConstantVoltage here, but is {scene.loading!r}."
-        )
-    scene.path_of(parameter)
+        raise other_loading(scene.loading, Chamber, ConstantPressure, ConstantVoltage)
+    scene.check_varies(parameter)
     low, high = pair("within", within)
     for value in (low, high):
         scene.replace(**{parameter: value})

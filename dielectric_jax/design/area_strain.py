@@ -17,7 +17,7 @@ from ..model import Outcome, Regime, Scene, describe, place_of, plain
 from ..numerics import check_whole
 from ..surface import Surface, SurfaceFamily
 from .constrained_search import Axis, Climb, Kind, Requirements, axis_of, begin_of, inwards, scan_designs
-from .designs import classify_designs, surface_for
+from .designs import check_loading, classify_designs, surface_for
 from .regime_maps import even
 from .resolution import ACTIVE, INWARD, MOST_SOUGHT, SEEDS, STRAIN_SCAN
 from .scenarios import scenarios_of
@@ -111,6 +111,7 @@ def maximise_area_strain(
         raise ValueError("`over` must name at least one parameter, but is empty.")
     if len(over) > MOST_SOUGHT:
         raise ValueError(f"`over` must name at most {MOST_SOUGHT} parameters, but names {len(over)}.")
+    check_loading(scene)
     check_whole("compare", compare, 0, 10_000_000)
     required = Requirements(survival_margin, operating_margin, must_snap, way_down)
     axes = [axis_of(name, limits, scene) for name, limits in over.items()]

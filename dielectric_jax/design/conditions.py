@@ -23,6 +23,7 @@ from ..model import (
     field_ratio_squared,
     jacobian_program,
     largest_load,
+    other_loading,
     run_chunks,
 )
 from ..numerics import cached_jit
@@ -91,7 +92,7 @@ class SurfaceConditions:
         if isinstance(loading, ConstantPressure):
             filled, self.condition = p0 - loading.pressure, loading.condition()
         elif not isinstance(loading, Chamber):
-            raise ValueError(f"`loading` must be a Chamber or a ConstantPressure here, but is {loading!r}.")
+            raise other_loading(loading, Chamber, ConstantPressure)
         elif loading.initial_volume is not None:
             filled = v0 - loading.initial_volume
             self.condition = loading.condition(p0, loading.initial_volume)

@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 from ..diagram import MembraneKey, Ramps, chamber_ramps, continue_scenes, loading_arrays, pressure_ramps, regime_of
-from ..model import Chamber, Change, ConstantPressure, Membrane, Regime, Scene, change_of, field_on
+from ..model import Chamber, Change, ConstantPressure, Membrane, Regime, Scene, change_of, field_on, other_loading
 from ..numerics import SceneError
 from ..surface import ById, Surface, SurfaceFamily
 from .resolution import MOST_BUILT, MOST_SECTIONS, TYPICAL_STRETCH
@@ -23,6 +23,7 @@ __all__ = [
     "Designs",
     "by_continuation",
     "by_diagrams",
+    "check_loading",
     "classify_designs",
     "designs_on_surfaces",
     "surface_for",
@@ -42,12 +43,20 @@ class Designs(typing.NamedTuple):
     membrane_number: np.ndarray
 
 
+def check_loading(scene: Scene) -> None:
+    """Raises ValueError for a loading whose ramps the surface does not know."""
+    if not isinstance(scene.loading, (Chamber, ConstantPressure)):
+        raise other_loading(scene.loading, Chamber, ConstantPressure)
+
+
 def designs_of(scene: Scene, parameters: dict) -> Scene:
     """One scene whose leaves are columns: `scene` with the named parameters at the values of arrays (n,).
 
     Raises ValueError for names or values that the scene does not take.
     """
     names = tuple(parameters)
+    for name in names:
+        scene.check_varies(name)
     values = [np.asarray(parameters[n], float) for n in names]
     ends = {f(v) for v in np.stack(values, axis=1).tolist() for f in (tuple,)} if len(values[0]) <= 4 else set()
     for own in ends or {tuple(v.min() for v in values), tuple(v.max() for v in values)}:
@@ -133,8 +142,7 @@ def classify_designs(
 
 def designs_on_surfaces(scene: Scene, parameters: dict, *, surface: Surface | SurfaceFamily | None) -> Designs:
     """Designs, decided as far as the surfaces of their membranes can."""
-    if not isinstance(scene.loading, (Chamber, ConstantPressure)):
-        raise ValueError(f"`loading` must be a Chamber or a ConstantPressure here, but is {scene.loading!r}.")
+    check_loading(scene)
     stacked_scenes = designs_of(scene, parameters)
     count = len(stacked_scenes.membrane.prestretch)
     keys: dict = {}

@@ -20,6 +20,7 @@ from .designs import (
     Designs,
     by_continuation,
     by_diagrams,
+    check_loading,
     designs_on_surfaces,
     surface_for,
     surface_over,
@@ -178,9 +179,9 @@ def even(name: str, limits, count: int) -> np.ndarray:
 
 
 def check_range(name: str, limits, scene: Scene | None = None) -> tuple[float, float]:
-    """A valid range (low, high) of a parameter of the `scene`."""
+    """A valid range (low, high) of a parameter of the `scene`, a number that it has."""
     if scene is not None:
-        scene.path_of(name)
+        scene.check_varies(name)
     try:
         low, high = (float(v) for v in limits)
     except (TypeError, ValueError, OverflowError):
@@ -196,6 +197,7 @@ class _Known:
     """The designs classified so far, with their regimes and ramps."""
 
     def __init__(self, scene: Scene, over: dict, surface, *, diagrams: bool = False):
+        check_loading(scene)
         ranges = {name: check_range(name, limits, scene) for name, limits in over.items()}
         self.scene, self.names = scene, tuple(over)
         self.surface = surface_over(scene, ranges, surface)

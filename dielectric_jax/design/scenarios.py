@@ -33,6 +33,7 @@ class Scenario:
 
 def value_of(scene: Scene, name: str) -> float:
     """The value of a parameter of a scene; raises ValueError if it has none of that name."""
+    scene.check_varies(name)
     part: typing.Any = scene
     for step in scene.path_of(name):
         part = getattr(part, step, None)

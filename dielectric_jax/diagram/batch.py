@@ -30,6 +30,7 @@ from ..model import (
     cores,
     locking_stretch,
     map_nodes,
+    other_loading,
     stretch_shares,
 )
 from ..numerics import Code
@@ -179,7 +180,7 @@ def starts(scenes: list[Scene], scene_batch: SceneBatch, tolerance: float) -> Co
         if isinstance(loading, ConstantPressure):
             targets[i] = float(loading.pressure)
         elif not isinstance(loading, Chamber):
-            raise ValueError(f"`loading` must be a Chamber or a ConstantPressure, but is {loading!r}.")
+            raise other_loading(loading, Chamber, ConstantPressure)
         elif loading.initial_volume is not None:
             targets[i], kinds[i] = float(loading.initial_volume), ClosingEquation.volume
         else:

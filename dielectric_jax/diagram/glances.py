@@ -27,6 +27,7 @@ from ..model import (
     SpecialPoint,
     State,
     events_table,
+    other_loading,
     points_table,
 )
 from ..numerics import Code, SceneError, cached_jit
@@ -117,7 +118,7 @@ def glance(scene: Scene, surface: Surface) -> Glance:
         given = {"chamber_volume": float(loading.volume), "initial_volume": _filling(loading, surface)}
         given |= {n: float(getattr(loading, n)) for n in names}
     else:
-        raise ValueError(f"`loading` must be a Chamber, a ConstantPressure or a ConstantVoltage, but is {loading!r}.")
+        raise other_loading(loading, Chamber, ConstantPressure, ConstantVoltage)
     return _voltage_volume(scene, surface, *curves_and_ramps(surface, given))
 
 

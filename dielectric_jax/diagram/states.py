@@ -28,6 +28,7 @@ from ..model import (
     largest_load,
     map_nodes,
     mechanical,
+    other_loading,
     require_float64,
     stretch_shares,
     voltage_of,
@@ -102,7 +103,7 @@ def filling(scene: Scene, tolerance: float) -> tuple[float | None, float | None]
     elif isinstance(loading, PrescribedVolume):
         filled = float(loading.volume) > 0
     elif not isinstance(loading, Chamber):
-        raise ValueError(f"`loading` must be a Chamber, ConstantPressure or PrescribedVolume, but is {loading!r}.")
+        raise other_loading(loading, Chamber, ConstantPressure, PrescribedVolume)
     elif loading.initial_volume is not None:
         filled = float(loading.initial_volume) > 0
     else:

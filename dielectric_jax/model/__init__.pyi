@@ -20,6 +20,7 @@ from .loading import (
     PrescribedVolume,
     control_of,
     mechanical,
+    other_loading,
 )
 from .materials import (
     AbstractBreakdown,
@@ -141,6 +142,7 @@ __all__ = [
     "locking_stretch",
     "map_nodes",
     "mechanical",
+    "other_loading",
     "pair",
     "parameter_of",
     "place_of",

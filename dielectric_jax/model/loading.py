@@ -24,6 +24,7 @@ __all__ = [
     "PrescribedVolume",
     "control_of",
     "mechanical",
+    "other_loading",
 ]
 
 
@@ -195,12 +196,23 @@ class ChargeControl(AbstractLoading):
     def __check_init__(self):
         if not isinstance(self.loading, (Chamber, ConstantPressure, PrescribedVolume)):
             raise ValueError(
-                "`loading` of a ChargeControl must be a Chamber, a ConstantPressure or a PrescribedVolume, but is "
-                f"{self.loading!r}."
+                "`loading` of a ChargeControl must be a Chamber, a ConstantPressure or a PrescribedVolume, but is a "
+                f"{type(self.loading).__name__}."
             )
 
     def condition(self, initial_pressure=None, initial_volume=None):
         return dataclasses.replace(self.loading.condition(initial_pressure, initial_volume), charge=as_scalar(1.0))
+
+
+def other_loading(loading, *kinds: type) -> ValueError:
+    """The error for a loading that is none of the kinds that are taken.
+
+    >>> str(other_loading(PrescribedVolume(3.0), Chamber, ConstantPressure))
+    '`loading` must be a Chamber or a ConstantPressure here, but is a PrescribedVolume.'
+    """
+    *others, last = (f"a {kind.__name__}" for kind in kinds)
+    allowed = f"{', '.join(others)} or {last}" if others else last
+    return ValueError(f"`loading` must be {allowed} here, but is a {type(loading).__name__}.")
 
 
 def mechanical(loading: AbstractLoading) -> AbstractLoading:

@@ -4,6 +4,7 @@ The scene decides what is integrated: which derivatives the loading's condition 
 """
 
 import dataclasses
+import functools
 import typing
 
 import equinox as eqx
@@ -190,6 +191,11 @@ class Scene(eqx.Module):
                 else f"`{name}` must be a parameter of this scene, but it carries no `units`."
             )
         return path
+
+    def check_varies(self, name: str) -> None:
+        """Raises ValueError for a parameter that the scene does not have, or whose value is a list of numbers."""
+        if isinstance(functools.reduce(getattr, self.path_of(name), self), tuple):
+            raise ValueError(f"`{name}` must not vary, because its value is a list.")
 
     def _holds(self, path: tuple[str, ...]) -> bool:
         """Whether there is a parameter at this place."""

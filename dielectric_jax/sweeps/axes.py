@@ -178,7 +178,7 @@ class Design:
             raise ValueError("`initial_volume` and `initial_pressure` must not both vary: each sets the filling.")
         for axis in self.axes:
             for name in axis.columns:
-                self.scene.path_of(name)
+                self.scene.check_varies(name)
 
     @property
     def dimensions(self) -> tuple[str, ...]:

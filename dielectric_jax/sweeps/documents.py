@@ -1,5 +1,6 @@
 """Scenes in TOML: tables of parameters by their published names; mistakes are refused in one sentence."""
 
+import dataclasses
 import os
 import tomllib
 import typing
@@ -27,7 +28,17 @@ from ..model import (
 from ..numerics import LARGEST, check_whole, shown
 from .resolution import MOST_VALUES
 
-__all__ = ["check_dimensionless", "number", "one_of", "read_toml", "refuse", "scene_of", "table", "values"]
+__all__ = [
+    "check_dimensionless",
+    "number",
+    "one_of",
+    "other_filling_left_out",
+    "read_toml",
+    "refuse",
+    "scene_of",
+    "table",
+    "values",
+]
 
 _MATERIALS = {
     "gent": Gent,
@@ -135,12 +146,11 @@ def scene_of(given: dict[str, typing.Any], constants: dict[str, typing.Any] | No
     units = Units(**{n: number("units", n, v) for n, v in constants.items()}) if constants else None
     if not field and units is not None:
         parts["breakdown"] |= {n: getattr(units, n) for n in ("shear_modulus", "relative_permittivity")}
-    try:
-        law = (ConstantBreakdown if field else VHBBreakdown)(*field, **parts["breakdown"])
-        film = _MATERIALS[material](**parts["material"])
-    except TypeError:
-        own = ", ".join(n for n in numbers if place_of(n)[-2] in ("breakdown", "material"))
-        raise ValueError(f"`material` and `breakdown` must have the parameters {own}, but one does not.") from None
+    for name in parts["material"]:
+        if name not in {constant.name for constant in dataclasses.fields(_MATERIALS[material])}:
+            raise ValueError(f"`{name}` in [scene] must be left out, because the `material` {material!r} has none.")
+    law = (ConstantBreakdown if field else VHBBreakdown)(*field, **parts["breakdown"])
+    film = _MATERIALS[material](**parts["material"])
     membrane = Membrane(film, breakdown=law, **parts["membrane"])
     loading = parts["loading"]
     if ("pressure" in loading) == ("volume" in loading):
@@ -151,6 +161,18 @@ def scene_of(given: dict[str, typing.Any], constants: dict[str, typing.Any] | No
     if "pressure" in loading:
         return Scene(membrane, ConstantPressure(loading["pressure"]), window, units)
     return Scene(membrane, Chamber(**typing.cast(typing.Any, loading)), window, units)
+
+
+def other_filling_left_out(given: dict[str, typing.Any], varied: typing.Iterable[str]) -> dict[str, typing.Any]:
+    """The parameters of a scene without its filling, where the other way to give a filling varies.
+
+    >>> other_filling_left_out({"chamber_volume": 1600.0, "initial_volume": 2.42}, ["initial_pressure"])
+    {'chamber_volume': 1600.0}
+    """
+    varied = set(varied)
+    fillings = {"initial_volume", "initial_pressure"}
+    left_out = fillings - varied if fillings & varied else set()
+    return {name: value for name, value in given.items() if name not in left_out}
 
 
 def check_dimensionless(given: dict[str, typing.Any], constants: dict[str, typing.Any]) -> None:

@@ -9,7 +9,17 @@ import numpy as np
 from ..model import Scene, place_of
 from ..numerics import shown
 from .axes import Axis, axes_of, read_scenes, samples, zipped
-from .documents import check_dimensionless, number, one_of, read_toml, refuse, scene_of, table, values
+from .documents import (
+    check_dimensionless,
+    number,
+    one_of,
+    other_filling_left_out,
+    read_toml,
+    refuse,
+    scene_of,
+    table,
+    values,
+)
 
 __all__ = ["read_specification"]
 
@@ -98,10 +108,8 @@ def read_specification(path) -> tuple[Scene, list[Axis], dict[str, typing.Any]]:
         if kind is float:
             options[name] = number("", name, value)
     axes = _axes(document, path.parent)
-    given = dict(table("scene", document.get("scene", {})))
     varied = {name: float(column[0]) for axis in axes for name, column in axis.columns.items()}
-    if any(name.startswith("initial_") for name in varied):
-        given = {name: value for name, value in given.items() if not name.startswith("initial_")}
+    given = other_filling_left_out(table("scene", document.get("scene", {})), varied)
     constants = dict(table("units", document.get("units", {})))
     of_units = [n for n in varied if place_of(n)[0] == "units"]
     if of_units and not constants:

@@ -17,7 +17,7 @@ import typing
 import numpy as np
 
 from ..diagram import check_request
-from ..model import Chamber, ConstantPressure, Scene, describe, require_float64
+from ..model import Chamber, ConstantPressure, Scene, describe, other_loading, require_float64
 from ..numerics import StoreError, check_whole, enabled_folder, source_digest
 from ..surface import check_tolerance, fingerprint
 from .axes import Axis, Design, axes_of
@@ -126,7 +126,7 @@ def _job(design: Design, engine: str, resolve: bool, curves: bool, tolerance: fl
     if curves and engine != "surface":
         raise ValueError("`curves` must be asked for with the engine 'surface' only, not with 'continuation'.")
     if not isinstance(design.scene.loading, (Chamber, ConstantPressure)):
-        raise ValueError(f"`scene` must have a Chamber or a ConstantPressure, but has {design.scene.loading!r}.")
+        raise other_loading(design.scene.loading, Chamber, ConstantPressure)
     windows = design.scene.window.apex_stretch is not None or design.scene.window.load_fraction != (-1.0, 1.0)
     if windows and engine == "surface":
         raise ValueError(

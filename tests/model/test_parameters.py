@@ -1,13 +1,16 @@
 """The table of parameters against the classes that hold them, and every function that takes parameters by name."""
 
 import dataclasses
+import functools
 
 import jax
 import numpy as np
 import pytest
 
 import dielectric_jax as dj
+from benchmarks.acceptance import parameters as acceptance
 from dielectric_jax.apps.options import read_arguments
+from dielectric_jax.design import regime_edges
 from dielectric_jax.model import PARAMETERS, Change, describe
 from dielectric_jax.model.scene import constants_of
 from dielectric_jax.sweeps import scene_of, zipped
@@ -149,7 +152,9 @@ def test_designs_over_a_constant_of_a_material():
     """Every value has its own surface, and each design agrees with its own diagram."""
     found = dj.classify_designs(MOONEY, {"c1": [0.47, 0.49]})
     scenes = [MOONEY.replace(c1=value) for value in (0.47, 0.49)]
-    assert [dj.Regime(int(r)) for r in found.regime] == [dj.regime_of(scene) for scene in scenes]
+    regimes = [dj.regime_of(scene) for scene in scenes]
+    assert [dj.Regime(int(r)) for r in found.regime] == regimes
+    assert regime_edges(MOONEY, {"c1": (0.47, 0.471)}, points=2) == []
 
 
 def test_the_derivative_by_a_constant_of_the_elasticity_of_a_dielectric():
@@ -158,3 +163,109 @@ def test_the_derivative_by_a_constant_of_the_elasticity_of_a_dielectric():
     h = 0.05
     up, down = (dj.snap_voltage(DIELECTRIC.replace(stretch_limit=120.0 + s * h)) for s in (1, -1))
     np.testing.assert_allclose(slope, (up - down) / (2 * h), rtol=1e-6)
+
+
+SCENES = acceptance.scenes()
+
+
+@pytest.mark.parametrize("label", SCENES)
+def test_every_parameter_in_documents_files_and_options(label):
+    """Of every material, breakdown law and loading: replaced and described, in TOML and back, as an option and in its help."""
+    scene = SCENES[label]
+    rows = [acceptance.ask(scene, n, v) for n in acceptance.names_of(scene) for v in acceptance.CHEAP]
+    assert [r for r in rows if r["answer"] == "wrong"] == []
+    replaced = {r["parameter"] for r in rows if r["verb"] == "replace" and r["answer"] == "agrees"}
+    assert replaced == {n for n in acceptance.names_of(scene) if scene.has(n)}
+
+
+@pytest.mark.parametrize("verb", acceptance.COMPUTED)
+def test_what_a_verb_does_not_take_is_refused_in_a_sentence(verb):
+    """Parameters of other loadings and materials, loadings that a verb does not take, and lists of numbers."""
+    asked = [
+        (label, n)
+        for label, scene in SCENES.items()
+        for n in acceptance.names_of(scene)
+        if acceptance.reasons(scene, n, verb)
+    ]
+    assert len(asked) > 200
+    rows = [{"scene": label} | acceptance.ask(SCENES[label], n, verb) for label, n in asked]
+    assert [r for r in rows if r["answer"] != "refused"] == []
+
+
+# one scene that has every parameter that is a number, so that one compiled program of each verb serves them all; what each verb
+# says of each material's own is in benchmarks/acceptance/parameters.py
+EVERYTHING = acceptance.scene_of_everything()
+# units last: what they change is the film, and so the dimensionless numbers of the loading
+VARIED = sorted(
+    (n for n in PARAMETERS if EVERYTHING.has(n) and n != "initial_pressure"),
+    key=lambda n: PARAMETERS[n].path[0] == "units",
+)
+LIMITS = {name: acceptance.limits_of(EVERYTHING, name) for name in VARIED}
+
+
+def between(share: float, place: str = "") -> dict[str, float]:
+    """A value between its limits of every parameter that is not in the given part of the scene."""
+    own = {name: limits for name, limits in LIMITS.items() if PARAMETERS[name].path[0] != place}
+    return {name: low + share * (high - low) for name, (low, high) in own.items()}
+
+
+@functools.cache
+def snap_of_everything(share: float, place: str = "") -> float:
+    """The snap voltage by continuation, with the parameters `between` at a share of their ranges."""
+    return float(dj.snap_voltage(EVERYTHING.replace(**between(share, place))))
+
+
+def test_every_number_is_a_parameter_of_the_scene_of_everything():
+    lists, other_loadings = {"moduli", "exponents"}, {"initial_pressure", "pressure", "volume"}
+    assert set(VARIED) == set(PARAMETERS) - lists - other_loadings
+
+
+@pytest.mark.parametrize("left_out", ["units", "loading"])
+def test_sweeps_and_designs_over_every_parameter_at_once(left_out):
+    """On surfaces, against the snaps of continuation; the loading and its units not together."""
+    both = [between(share, left_out) for share in (0.2, 0.6)]
+    columns = {name: [one[name] for one in both] for name in both[0]}
+    snaps = [snap_of_everything(share, left_out) for share in (0.2, 0.6)]
+    assert abs(snaps[0] / snaps[1] - 1) > 1e-3
+    designs = dj.classify_designs(EVERYTHING, columns)
+    np.testing.assert_allclose(designs.ramps.snap.voltage[:, 0], snaps, rtol=1e-8)
+    data = dj.sweep(EVERYTHING, zipped(**columns), progress=False)
+    np.testing.assert_allclose(data.snap_voltage.sel(jump=0), snaps, rtol=1e-8)
+    np.testing.assert_array_equal(data.regime, designs.regime)
+
+
+def test_the_derivative_by_every_parameter_at_once():
+    """Their sum along the ranges, by central differences."""
+
+    def snap(*values):
+        return dj.snap_voltage(EVERYTHING.replace(**dict(zip(VARIED, values, strict=True))))
+
+    slopes = jax.grad(snap, range(len(VARIED)))(*between(0.4).values())
+    along = sum(float(s) * (high - low) for s, (low, high) in zip(slopes, LIMITS.values(), strict=True))
+    h = 0.01
+    snaps = [snap_of_everything(0.4 + k * h) for k in (-2, -1, 1, 2)]
+    np.testing.assert_allclose(along, (8 * (snaps[2] - snaps[1]) - (snaps[3] - snaps[0])) / (12 * h), rtol=1e-6)
+    # the law of breakdown, of whose field ε is in the unit, does not move the snap
+    still = {n for n, slope in zip(VARIED, slopes, strict=True) if float(slope) == 0}
+    assert still == {"breakdown_field_scale", "permittivity"}
+
+
+@pytest.mark.parametrize("name", ["chamber_volume", "stretch_limit", "shear_modulus"])
+def test_regime_edges_over_a_parameter_of_each_part(name):
+    low, high = LIMITS[name]
+    ends = dj.classify_designs(EVERYTHING, {name: [low, high]}).regime.tolist()
+    found = regime_edges(EVERYTHING, {name: (low, high)}, points=2)
+    regimes = [found[0].below, *(edge.above for edge in found)] if found else ends[:1]
+    assert [regimes[0], regimes[-1]] == ends
+    assert all(low <= edge.value <= high for edge in found)
+
+
+@pytest.mark.parametrize("name", ["stretch_limit"])
+def test_designs_that_are_uncertain_in_a_parameter(name):
+    """A constant of the elasticity of a dielectric: the worst of the box."""
+    over = {"chamber_volume": LIMITS["chamber_volume"]}
+    best = dj.maximise_area_strain(EVERYTHING, over, uncertain={name: 0.02}, check=False)
+    chosen = EVERYTHING.replace(**best.parameters)
+    value = float(acceptance.value_of(chosen, name))
+    box = dj.classify_designs(chosen, {name: [0.98 * value, value, 1.02 * value]})
+    np.testing.assert_allclose(best.area_strain, box.ramps.area_strain.min(), rtol=1e-7)

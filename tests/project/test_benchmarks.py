@@ -275,3 +275,12 @@ def test_two_designs_are_no_worse_than_scans(tmp_path):
     for problem in record["problems"].values():
         assert problem["scan"]["designs"] >= 1000 and problem["active"] == ["survival_margin"]
         assert 0 <= problem["scan"]["gain"] < 0.1
+
+
+def test_some_parameters_go_through_some_verbs(tmp_path):
+    record, said = quick("acceptance.parameters", tmp_path)
+    assert record["counts"] == {"agrees": 4, "refused": 6, "wrong": 0}, said
+    refused = {
+        r["parameter"] for r in record["records"] if r["verb"] == "classify_designs" and r["answer"] == "refused"
+    }
+    assert refused == {"c1"}
