@@ -151,10 +151,11 @@ class Scene(eqx.Module):
         """The scene with other values of the named parameters; setting one side of a filling clears the other.
 
         Parameters of the units are in SI, and what they change is the film: the loading and a constant breakdown field stay
-        what they are in SI, so that their dimensionless numbers change. All others are dimensionless.
+        what they are in SI, so that their dimensionless numbers change. All others are dimensionless, in the new units where
+        both are given: the order of the parameters does not matter.
         """
         scene = self
-        for name, value in parameters.items():
+        for name, value in sorted(parameters.items(), key=lambda item: place_of(item[0])[0] != "units"):
             path = scene.path_of(name)
             if path[0] == "units":
                 scene = scene._in(_rebuild(scene.units, (), {name: value}))

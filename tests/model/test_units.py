@@ -1,6 +1,7 @@
 """Conversion to SI and back: by hand for the paper's membrane, by scale-free laws, and on the command line."""
 
 import dataclasses
+import itertools
 import json
 import math
 
@@ -163,6 +164,18 @@ def test_ensembles_convert_too():
     there = dj.Units().to_si(point)
     assert there.pressure[0] == pytest.approx(PRESSURE) and there.voltage[0] == pytest.approx(0.1 * VOLTAGE)
     assert there.apex_stretch[0] == 2.0 and there.error[0] == 1e-12
+
+
+def test_the_order_of_parameters_does_not_matter():
+    chamber = dj.Chamber(volume=0.018, initial_volume=27e-6, atmospheric_pressure=100e3)
+    scene = dj.Scene.from_si(dj.Membrane(), chamber, dj.Units())
+    new = {"shear_modulus": 90e3, "chamber_volume": 2000.0, "atmospheric_pressure": 10.0}
+    for names in itertools.permutations(new):
+        found = scene.replace(**{name: new[name] for name in names})
+        assert found.units.shear_modulus == 90e3
+        # 2000 A³ and 10 μ H/A of the new modulus; the filling in SI is as before
+        assert found.loading.volume == 2000.0 and found.loading.atmospheric_pressure == 10.0
+        assert found.loading.initial_volume * A**3 == pytest.approx(27e-6, rel=1e-14)
 
 
 def test_figures_in_units(chamber, curve):
