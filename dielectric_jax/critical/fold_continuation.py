@@ -259,7 +259,9 @@ class System:
                     raise Lost from None
                 z, size = z + move, float(np.abs(move).max())
             if size < AGREED:  # the finer grid shows the remaining Newton step and the error of the coarser grid
-                return self._place(z, tangent * (-1.0 if tangent @ towards < 0 else 1.0), volume, move)
+                # what the finer grid leaves is smaller by the order of the method, eight
+                gain = min(SAFETY, (fine / coarse) ** 8 - 1)
+                return self._place(z, tangent * (-1.0 if tangent @ towards < 0 else 1.0), volume, move / gain)
         raise Lost
 
     def relative(self, z: np.ndarray, move: np.ndarray) -> float:
@@ -268,10 +270,11 @@ class System:
         of_control = abs(move[k]) * SCALE[k] / max(abs(z[k] * SCALE[k]), 1e-3)
         return max(of_control, abs(move[3] * self.rate(z[3]) / self.value(z[3])))
 
-    def _place(self, z, tangent, volume: float, move) -> Place:
+    def _place(self, z, tangent, volume: float, change) -> Place:
+        """A point of the curve; `change` is the error that is left of z."""
         self.conditions.check_filling()
         u = z[:3] * SCALE
-        error = self.relative(z, move) / SAFETY + LEAST_ERROR_ON_CURVE
+        error = self.relative(z, change) + LEAST_ERROR_ON_CURVE
         ratio = float(field_ratio_squared(self.membrane.breakdown, u[0], u[0]) * u[2])
         return Place(z, tangent, volume, math.sqrt(max(ratio, 0.0)), self._fraction(u), error, self.conditions.filling)
 

@@ -47,7 +47,7 @@ GRIDS = ((48.0, 96.0), (144.0, 240.0), (240.0, 320.0))
 STEPS = np.array([coarse for coarse, _ in GRIDS])
 #: of states and fillings that a search begins from, as the diagrams' default
 TOLERANCE = 1e-9
-#: what the last move is divided by to estimate the error; an eighth-order method promises 256 for twice the steps, 10 for 240 and 320
+#: what the last move is divided by to estimate the error, at most; an eighth-order method promises 255 for twice the steps, 9 for 240 and 320
 SAFETY = 16.0
 #: no error of a point on a line is reported below it: rounding
 LEAST_ERROR = 1e-13
