@@ -429,7 +429,7 @@ REASONS: list[tuple[tuple[str, ...], typing.Callable[[dj.Scene, str], bool], str
     (
         ("maximise",),
         lambda s, n: change_of(n) is Change.MATERIAL,
-        "must be held, because every value of it needs a surface of its own",
+        "must be held, because every value of it needs its own surface",
     ),
     (
         ("uncertain",),
