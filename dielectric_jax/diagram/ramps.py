@@ -27,8 +27,8 @@ class States(typing.NamedTuple):
     """States of many loadings, arrays of one shape; NaN where there is none.
 
     Where they are rows of one array, this is the order of its columns (`APEX`, …): the unknowns (λa, p, q) of the
-    equations first. `error` bounds the relative error
-    |error|/max(|value|, 1e-3) of volume and q; beside NaN it stands for a point that exists but was not located.
+    equations first. `error` bounds the relative error |error|/max(|value|, 1e-3) of volume and q; beside NaN it stands for
+    a point that exists but was not located.
     """
 
     apex_stretch: np.ndarray
@@ -82,15 +82,17 @@ class RampArrays(typing.NamedTuple):
 class Ramps(typing.NamedTuple):
     """Ramps of many loadings; NaN where there is no such event.
 
-    The arrays have the shape of the loadings; those of `snap`, `landing`, `snap_back` and `landing_back` have a last axis
-    more, of two, for ramps that snap twice. The way up: `start`, `snaps` snaps with their landings (`landing_ratio` is
-    E/E_EB there; where it is at least 1 the ramp ends in it), `breakdown` on the branch; `area_strain` is (λa at breakdown / λa at the start)² − 1, with breakdown in the snap that of
-    the last unbroken state. The way down from the last landing: `snap_back`, `landing_back`, and `rest`, the zero-voltage state in which it
-    ends. `error` bounds the relative error of the voltages and volumes of the ramp.
+    The arrays have the shape of the loadings; `snap`, `landing`, `snap_back` and `landing_back` have one more axis at the
+    end, of length two, for ramps that snap twice.
+
+    The way up: `start`, `snaps` snaps with their landings (`landing_ratio` is E/E_EB there; if it is at least 1 the ramp
+    ends in it), and `breakdown` on the branch. `area_strain` is (λa at breakdown / λa at the start)² − 1; with breakdown in
+    the snap, that of the last unbroken state. The way down from the last landing: `snap_back`, `landing_back`, and `rest`,
+    the zero-voltage state in which it ends. `error` bounds the relative error of q and of the volumes of the ramp.
 
     Special points of the branch through the start, by rising λa along a last axis: `folds` (of q, six), `zero_voltage`
     (five), `breakdowns` (three); all there are between the two λa of `reach` (…, 2), where the surface holds the branch alone.
-    `outcome` holds an `Outcome` for each ramp. `ahead` is a `FoldAhead`: whether a branch that breaks down has a fold further on.
+    `outcome` holds an `Outcome` for each ramp, `ahead` a `FoldAhead`: whether a branch that breaks down has a fold further on.
     """
 
     start: States

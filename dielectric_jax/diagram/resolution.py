@@ -10,7 +10,8 @@ from ..numerics import Steps
 
 # Continuation of branches. Checked by benchmarks.acceptance.agreement (every branch of random scenes is found) and
 # benchmarks.acceptance.hard_cases (towards the cone and lock-up).
-# towards lock-up the rim condition is a wall: a small step of Newton may begin far beyond it
+
+# the step control of a trace: towards lock-up the rim condition is a wall: a small step of Newton may begin far beyond it
 TRACE_CONTROL = Steps(
     first=0.05, largest=1.0, smallest=2e-5, most_turn=0.35, most_correction=0.2, tolerance=1e-4, most_residual=0.1
 )
@@ -18,7 +19,7 @@ TRACE_STEPS = (10.0, 24.0, 48.0, 160.0)  # steps of the grids of the continuatio
 # load fractions up to which each grid is used, near lock-up (an inner layer forms) and elsewhere
 TRACE_LOAD_LIMITS = ((0.7, 0.85), (0.82, 0.97), (2.0, 2.0), (2.0, 2.0))
 LARGEST_LOAD_NEAR_LOCK_UP = 0.94  # load fraction beyond which no grid resolves the membrane near lock-up
-FLAT_END = 0.01  # of λa − λ0: nearer to the flat state steps shrink with it
+FLAT_END = 0.01  # of λa − λ0: nearer to the flat state the smallest step is a hundredth of what it is elsewhere
 LARGEST_RESTART = 0.1  # how far a finer grid may move a point of a coarser one
 MOST_PARTS = 12  # of a trace, each as long as a compiled trace can be
 NEAR_ON_SCAN = 0.2  # on the chart, in tenths of its extent: on one branch as the scan shows it
@@ -54,6 +55,7 @@ SAME_STRETCH = 1e-3  # of the apex stretch: beside a fold it is the less exact
 
 # Batches by continuation. Sizes are measured by benchmarks.speed.batch_diagrams and lane_profile, limits checked by
 # benchmarks.acceptance.ensemble and benchmarks.acceptance.one_answer.
+
 # the step control of a march
 MARCH_CONTROL = Steps(
     first=0.2,
@@ -115,7 +117,7 @@ TURNING = 0.2  # of the rise before: a contour that leaves the window more slowl
 
 # Diagrams and ramps on a surface. Errors are checked by benchmarks.acceptance.surface_error and one_answer, sizes
 # measured by benchmarks.speed.sweep_throughput.
-SURFACE_NEWTON = 8  # steps of Newton on the surface, at most
+SURFACE_NEWTON = 8  # steps of Newton on the surface
 SURFACE_CONVERGED = 1e-9  # size of the last move, in λa and t
 CONTOUR_GRID = (320, 176)  # stretches and loads on which contours are drawn
 CONTOUR_VERTICES = 200  # of a contour, at most
