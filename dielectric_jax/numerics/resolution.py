@@ -8,7 +8,7 @@ VECTOR_WIDTH = 512
 # points of one call of an elementwise function; more points are more calls of the same program
 LANES = 512
 # bytes of live programs in XLA's own format, some forty times as much in memory; benchmarks/acceptance/memory.py
-MOST_LIVE = 24e6
+MOST_LIVE = 12e6
 # bytes of packed programs, some 0.3 MB each; beyond them the oldest are compiled again; benchmarks/acceptance/memory.py
 MOST_SHELVED = 100e6
 
