@@ -5,7 +5,8 @@ V(λa; θ) = V_i, then p(λa; θ). Its derivatives by the constants θ follow fr
 dp/dθ = ∂p/∂θ − (∂p/∂λa) (∂V/∂θ)/(∂V/∂λa), with forward-mode autodiff of the map.
 """
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax
@@ -14,6 +15,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from ..model import Membrane, explicit_map
+from ..numerics import cached_jit
 from .material_constants import as_arrays, check_membrane, constants_of, value_of, with_constants
 from .resolution import ACCURATE, FARTHEST_START, FLATTEST, MODEL_SIZES, MODEL_STEPS, NODES, ROUNDS
 
@@ -26,7 +28,7 @@ def _logs(above, material, prestretch, q, steps):
     return jnp.stack([jnp.log(v), jnp.log(p)])
 
 
-@eqx.filter_jit
+@cached_jit
 def _table(membrane, q, top, steps):
     """log(λa − λ0) of nodes, and log V and log p there (2, nodes); NaN beyond the material's limits."""
     nodes = jnp.linspace(jnp.log(FLATTEST), jnp.log(top), NODES)
@@ -68,23 +70,26 @@ def _put(membrane: Membrane, values: dict):
     return with_constants(membrane.material, own), values.get("prestretch", membrane.prestretch)
 
 
-@eqx.filter_jit
-def _model(free, membrane, volume, q_scale, near, steps, names, logs):
-    """The model's pressures (n,), their Jacobian (n, m) by the free parameters, and log(λa − λ0).
+@functools.cache
+def _model(names: tuple[str, ...], logs: tuple[bool, ...]) -> Callable:
+    """The compiled model of free parameters of these `names`, each the logarithm of its constant where `logs` says so.
 
-    The `names` of the parameters, and whether each is the logarithm of its constant, are static. If a shear modulus μ is
+    It returns the pressures (n,), their Jacobian (n, m) by the free parameters, and log(λa − λ0). If a shear modulus μ is
     among the names, pressures are in units of H/A, and q = q_scale/μ.
     """
 
-    def model(free):
-        values = {n: jnp.exp(f) if log else f for n, f, log in zip(names, free, logs, strict=True)}
-        material, prestretch = _put(membrane, values)
-        shear = values.get("shear_modulus", jnp.asarray(1.0))
-        pressure, above = _pressures(material, prestretch, volume, q_scale / shear, near, steps)
-        return shear * pressure, (shear * pressure, jax.lax.stop_gradient(above))
+    def pressures_and_slopes(free, membrane, volume, q_scale, near, steps):
+        def model(free):
+            values = {n: jnp.exp(f) if log else f for n, f, log in zip(names, free, logs, strict=True)}
+            material, prestretch = _put(membrane, values)
+            shear = values.get("shear_modulus", jnp.asarray(1.0))
+            pressure, above = _pressures(material, prestretch, volume, q_scale / shear, near, steps)
+            return shear * pressure, (shear * pressure, jax.lax.stop_gradient(above))
 
-    jacobian, (pressure, above) = jax.jacfwd(model, has_aux=True)(free)
-    return pressure, jacobian, above
+        jacobian, (pressure, above) = jax.jacfwd(model, has_aux=True)(free)
+        return pressure, jacobian, above
+
+    return cached_jit(pressures_and_slopes)
 
 
 class CurveModel:
@@ -236,7 +241,7 @@ class CurveModel:
         if not all(np.isfinite(v) for v in values.values()) or not self._allows(values):
             return lost
         args = self.membrane, np.exp(self._nodes), np.asarray(self._q_scale), self._near, np.asarray(self._steps)
-        found = _model(jnp.asarray(np.asarray(free, float)), *args, self.names, self.logs)
+        found = _model(self.names, self.logs)(np.asarray(free, float), *args)
         pressure, jacobian, above = (np.asarray(v) for v in found)
         if not (np.isfinite(pressure).all() and np.isfinite(jacobian).all()):
             return lost
