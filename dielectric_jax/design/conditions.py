@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..model import (
+    CHUNK,
     Chamber,
     ConstantPressure,
     Membrane,
@@ -24,9 +25,8 @@ from ..model import (
     jacobian_program,
     largest_load,
     other_loading,
-    run_chunks,
 )
-from ..numerics import cached_jit
+from ..numerics import cached_jit, run_lanes
 from ..surface import ById, Surface, SurfaceFamily, rows_of
 from .resolution import BLOCKS_OF_POINTS, FAR_ITERATIONS, FAR_SETTLED, ITERATIONS
 
@@ -60,8 +60,8 @@ class FarStates:
             if not len(todo):
                 break
             u = np.stack([apex[todo], p[todo], load[todo]])
-            stretch_change, volume[todo], sensitivities, _ = run_chunks(
-                lambda part: jacobian_program(self.membrane.material, part, self.steps), u
+            stretch_change, volume[todo], sensitivities, _ = run_lanes(
+                lambda part: jacobian_program(self.membrane.material, part, self.steps), u, sizes=CHUNK
             )
             of_stretch[:, todo], of_volume[:, todo] = sensitivities[:, 0], sensitivities[:, 1]
             of_stretch[0, todo] += 1.0
@@ -163,18 +163,14 @@ def _jets_in_family(family: SurfaceFamily, places):
 
 
 def _jets(surface: Surface | SurfaceFamily, places: np.ndarray) -> list[np.ndarray]:
-    flat = places.reshape(-1, places.shape[-1])
-    parts = []
-    size = BLOCKS_OF_POINTS[len(flat) > BLOCKS_OF_POINTS[0]]
-    for i in range(0, len(flat), size):
-        own = flat[i : i + size]
-        lanes = np.pad(own, ((0, size - len(own)), (0, 0)), mode="edge")
+    def jets(lanes):
         if isinstance(surface, SurfaceFamily):
-            found = _jets_in_family(surface, lanes)
-        else:
-            found = _jets_on_surface(rows_of(ById(surface)).surface, lanes)
-        parts.append([np.asarray(v)[: len(own)] for v in found])
-    return [np.concatenate(v).reshape(*places.shape[:-1], *v[0].shape[1:]) for v in zip(*parts, strict=True)]
+            return _jets_in_family(surface, lanes)
+        return _jets_on_surface(rows_of(ById(surface)).surface, lanes)
+
+    flat = places.reshape(-1, places.shape[-1])
+    found = run_lanes(jets, flat, sizes=BLOCKS_OF_POINTS, axis=0, out_axis=0, parallel=False)
+    return [v.reshape(*places.shape[:-1], *v.shape[1:]) for v in found]
 
 
 @functools.cache
@@ -255,13 +251,9 @@ class System:
         places = self.places(u, theta)
         jets = self.jets(places)
         program = _program(self.equations, self.names, end is not None)
-        end = begin if end is None else end
-        parts = []
-        for i in range(0, len(u), self.lanes):
-            own = np.minimum(np.arange(i, i + self.lanes), len(u) - 1)
-            found = program(self.scene, [t[own] for t in jets], places[own], begin[own], end[own], u[own])
-            parts.append([np.asarray(v)[: len(u) - i] for v in found])
-        return [np.concatenate(v) for v in zip(*parts, strict=True)]
+        designs = jets, places, begin, begin if end is None else end, u
+        one_call = {"sizes": self.lanes, "axis": 0, "out_axis": 0, "parallel": False}
+        return list(run_lanes(lambda part: program(self.scene, *part), designs, **one_call))
 
 
 class Solved(typing.NamedTuple):

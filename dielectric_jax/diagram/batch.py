@@ -27,13 +27,12 @@ from ..model import (
     Membrane,
     Outcome,
     Scene,
-    cores,
     locking_stretch,
     map_nodes,
     other_loading,
     stretch_shares,
 )
-from ..numerics import Code
+from ..numerics import Code, cores
 from .batch_programs import march_program, new_walks
 from .batch_ramps import RampArrays, assemble, have_others, ramps_on_lines
 from .landings import Landing, folds_ahead, landings

@@ -30,7 +30,7 @@ from ..model import (
     other_loading,
     points_table,
 )
-from ..numerics import Code, SceneError, cached_jit
+from ..numerics import Code, SceneError, cached_jit, run_lanes
 from ..plot import plot_diagram
 from ..surface import ById, Rows, Surface, rows_of
 from .ramps import LOAD
@@ -207,9 +207,7 @@ def _states(rows: Rows, found, make=State, **more) -> list:
     count = len(apex)
     if not count:
         return []
-    limit = np.asarray(_breakdown_load(rows.surface, np.pad(apex, (0, MOST_PRESSURE_POINTS - count), mode="edge")))[
-        :count
-    ]
+    limit = run_lanes(lambda part: _breakdown_load(rows.surface, part), apex, sizes=MOST_PRESSURE_POINTS)
     columns = {"voltage_squared": q, "pressure": pressure, "volume": volume, "apex_stretch": apex}
     columns |= {"breakdown_ratio": np.sqrt(q / limit), "error_estimate": error}
     rest = {"height": np.nan, "charge": np.nan, "index": None} | more

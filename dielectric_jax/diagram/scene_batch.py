@@ -7,6 +7,7 @@ import jax
 import numpy as np
 
 from ..model import CONTRACTION, SCALE, ClosingEquation, LoadingCondition, Membrane, difficulty
+from ..numerics import calls_of, lanes_of_a_call, run_lanes
 from .batch_programs import Goals, correct_program, limits_program
 from .resolution import MOST_SPREAD, NEWTON_ROUNDS, SPLIT, STRETCHES_TOGETHER, TURNS, WORSE
 
@@ -20,18 +21,20 @@ def pick(tree, which):
     return jax.tree.map(lambda v: v[which], tree)
 
 
+def _sizes() -> tuple[int, int]:
+    return lanes_of_a_call(FEW), lanes_of_a_call(LANES)
+
+
 def calls(which: np.ndarray):
     """The lanes of one call after the other: each is padded to one of two sizes, each compiled once."""
-    i = 0
-    while i < len(which):
-        size = LANES if len(which) - i > SPLIT else FEW
-        yield which[i : i + size]
-        i += size
+    for begin, size in calls_of(len(which), _sizes(), SPLIT / LANES) if len(which) else ():
+        yield which[begin : begin + size]
 
 
 def padded(which: np.ndarray) -> np.ndarray:
     """The lanes of one call, and the last of them again up to the size that is compiled."""
-    return np.pad(which, (0, (LANES if len(which) > FEW else FEW) - len(which)), mode="edge")
+    size = next(s for s in _sizes() if len(which) <= s)
+    return np.pad(which, (0, size - len(which)), mode="edge")
 
 
 class Corrected(typing.NamedTuple):
@@ -91,14 +94,13 @@ class SceneBatch:
         count = len(apex)
         if self.alone and count == 1:
             return np.stack(limits_program(pick(self.membrane, which), apex))
-        out = np.empty((3, count))
-        for i in range(0, count, STRETCHES_TOGETHER):
-            part = slice(i, i + STRETCHES_TOGETHER)
-            fill = (0, STRETCHES_TOGETHER - len(apex[part]))
-            own = np.pad(which[part], fill, mode="edge")
-            found = limits_program(pick(self.membrane, own), np.pad(apex[part], fill, mode="edge"))
-            out[:, part] = [np.asarray(v)[: len(apex[part])] for v in found]
-        return out
+        if not count:
+            return np.empty((3, 0))
+
+        def limits(part):
+            return limits_program(pick(self.membrane, part[0]), part[1])
+
+        return np.stack(run_lanes(limits, (which, apex), sizes=STRETCHES_TOGETHER, parallel=False))
 
     def correct(self, which, u, rows, targets, kinds, *, tolerance: float, reach) -> Corrected:
         """States of scenes `which` from u (lanes, 3) with row·u = target, or what `kinds` says."""

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..model import (
+    CHUNK,
     GRIDS,
     LEAST_ESTIMATE,
     SCALE,
@@ -29,10 +30,9 @@ from ..model import (
     largest_load,
     load_fraction,
     locking_stretch,
-    run_chunks,
     value_program,
 )
-from ..numerics import Code, cached_jit
+from ..numerics import Code, cached_jit, run_lanes
 from ..surface import ById, Surface, pressure_and_volume
 from .resolution import AT_EDGE, CONTOUR_GRID, CONTOUR_VERTICES, SAME_ON_SURFACE, SURFACE_CONVERGED, SURFACE_NEWTON
 
@@ -125,7 +125,7 @@ class OnSurface:
         """`corrected_points` by the surface alone: lanes it does not hold to the tolerance have ok = False."""
         u, rows, targets = np.asarray(u, float), np.asarray(rows, float), np.asarray(targets, float)
         packed = np.concatenate([u, rows.T, targets[None]])
-        (found,) = run_chunks(lambda part: [_meet_program(self.surface, self.condition, part)], packed)
+        found = run_lanes(lambda part: _meet_program(self.surface, self.condition, part), packed, sizes=CHUNK)
         error = np.maximum(np.nan_to_num(found[9], nan=np.inf), LEAST_ESTIMATE)
         away = np.linalg.norm((found[:3] - u).T / SCALE, axis=1)
         with np.errstate(invalid="ignore"):
@@ -170,7 +170,9 @@ class OnSurface:
         for k, grids in enumerate(GRIDS):
             which = todo[level[todo] == k]
             if len(which):
-                values = run_chunks(lambda part, n=grids[1]: value_program(self.membrane, part, n), points.u[:, which])
+                values = run_lanes(
+                    lambda part, n=grids[1]: value_program(self.membrane, part, n), points.u[:, which], sizes=CHUNK
+                )
                 points.hoop[which], points.field[which] = values[4:6]
         control = points.tangent[:, self.condition.control]
         rising = control > 0

@@ -21,9 +21,8 @@ from ..model import (
     LoadingCondition,
     Outcome,
     locking_stretch,
-    threads,
 )
-from ..numerics import cached_jit, check_positive
+from ..numerics import cached_jit, check_positive, run_lanes
 from ..surface import ROWS, ById, Conditions, Rows, Surface, crossings, rows_of
 from .landings import Landing, folds_ahead, landings
 from .ramps import APEX, ERROR, LOAD, PRESSURE, RampArrays, Ramps, Slot, ramps_of
@@ -137,11 +136,10 @@ def _ramps_of_crossings(rows: Rows, start, conditions, crossed, kind: str):
         return np.max(np.nan_to_num(events[:, ERROR], nan=0.0), axis=1)
 
     rough = np.flatnonzero(worst() > CORRECTED_FROM)
-    for i in range(0, len(rough), CORRECTED_TOGETHER):
-        some = rough[i : i + CORRECTED_TOGETHER]
-        which = np.pad(some, (0, CORRECTED_TOGETHER - len(some)), mode="edge")
-        own = jax.tree.map(lambda v, which=which: np.asarray(v)[which], conditions)
-        events[some] = np.asarray(corrector_program(rows.surface, own, events[which]))[: len(some)]
+    if len(rough):
+        own = jax.tree.map(lambda v: np.asarray(v)[rough], (conditions, events))
+        one_call = {"sizes": CORRECTED_TOGETHER, "axis": 0, "out_axis": 0, "parallel": False}
+        events[rough] = run_lanes(lambda part: corrector_program(rows.surface, *part), own, **one_call)
     vague = worst() > LARGEST_RAMP_ERROR
     events[vague], snaps[vague], outcome[vague] = np.nan, 0, int(Outcome.unresolved)
     return events, *special, snaps, outcome, reach
@@ -273,22 +271,9 @@ def _run(chunk, surface: Surface, loadings: list[np.ndarray], kind: str, axis: i
     `axis` is where the results of `chunk` count the loadings, 0 or 1 of two.
     """
     shape, rows = loadings[0].shape, rows_of(ById(surface))
-    flat = [values.ravel() for values in loadings]
-    count = flat[0].size
-
-    def work(i):
-        part = tuple(np.pad(v[i : i + some], (0, max(0, i + some - v.size)), mode="edge") for v in flat)
-        return [np.moveaxis(np.asarray(v), axis, 0) for v in jax.tree.leaves(chunk(rows, part, kind))]
-
-    def keep(i):
-        for whole, part in zip(wholes, work(i) if i else first, strict=True):
-            whole[i : i + some] = part[: count - i]
-
-    first = work(0)  # alone: it compiles
-    # in the order of memory that the chunks have
-    shapes = [(*v.shape[1:], count) if axis else (count, *v.shape[1:]) for v in first]
-    wholes = [np.moveaxis(np.empty(own, v.dtype), axis, 0) for own, v in zip(shapes, first, strict=True)]
-    list(threads().map(keep, range(0, count, some)))
+    flat = tuple(values.ravel() for values in loadings)
+    found = run_lanes(lambda part: chunk(rows, part, kind), flat, sizes=some, out_axis=axis)
+    wholes = [np.moveaxis(v, axis, 0) for v in jax.tree.leaves(found)]
     return [whole.reshape((*shape, *whole.shape[1:])) for whole in wholes]
 
 

@@ -5,8 +5,8 @@ import typing
 import jax.numpy as jnp
 import numpy as np
 
-from ..model import SCALE, ConstantVoltage, Membrane, compile_ahead, largest_load, rim_with_sensitivities, threads
-from ..numerics import Code, Problem, Steps, Trace, cached_jit, trace
+from ..model import SCALE, ConstantVoltage, Membrane, compile_ahead, largest_load, rim_with_sensitivities
+from ..numerics import Code, Problem, Steps, Trace, cached_jit, threads, trace
 from .resolution import (
     FLAT_END,
     LARGEST_LOAD_NEAR_LOCK_UP,

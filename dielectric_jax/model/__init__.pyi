@@ -49,7 +49,7 @@ from .membrane import Membrane, Profile, field_ratio_squared, slopes, vhb_4910, 
 from .outcomes import REGIME_COLOURS, SNAPPING, FoldAhead, Outcome, Regime, regimes_of
 from .parameters import PARAMETERS, Change, Parameter, change_of, parameter_of, place_of
 from .profiles import energy, profile, scaling_defect
-from .programs import compile_ahead, cores, jacobian_program, run_chunks, threads, value_program
+from .programs import compile_ahead, jacobian_program, value_program
 from .records import Branch, Event, Ramp, SpecialPoint, State, events_table, plain, points_table, voltage_of
 from .resolution import CHUNK, CONTRACTION, GRIDS, LEAST_ESTIMATE, LOAD_PANELS, MOST_STEPS, SCALE, SCANNED_LOAD
 from .scene import Scene, Window, describe, pair
@@ -121,7 +121,6 @@ __all__ = [
     "change_of",
     "compile_ahead",
     "control_of",
-    "cores",
     "corrected_points",
     "describe",
     "difficulty",
@@ -152,14 +151,12 @@ __all__ = [
     "regimes_of",
     "require_float64",
     "rim_with_sensitivities",
-    "run_chunks",
     "scaling_defect",
     "shoot",
     "slopes",
     "stability_of",
     "stresses",
     "stretch_shares",
-    "threads",
     "value_program",
     "vhb_4910",
     "voltage_of",

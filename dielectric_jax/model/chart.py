@@ -18,11 +18,10 @@ import numpy as np
 import scipy.linalg
 from scipy.interpolate import make_interp_spline
 
-from ..numerics import cached_jit, sine_cosine
+from ..numerics import cached_jit, run_lanes, sine_cosine
 from .loading import LoadingCondition
 from .materials import AbstractMaterial, capacitance, is_concrete, largest_load, stresses
 from .membrane import Membrane, apex_series, slopes
-from .programs import threads
 from .resolution import (
     CLIFF,
     CLIFF_SLOPE,
@@ -168,19 +167,9 @@ def _map_chunk(material, apex_stretch, load, prestretch, steps):
 
 
 def map_nodes(material, apex_stretch, load, prestretch, steps):
-    """The explicit map at (λa, t, λ0), chunk by chunk through one compiled program, on all cores."""
-    count = len(apex_stretch)
-    padding = -count % MAP_CHUNK
+    """The explicit map at (λa, t, λ0), in calls of one compiled program."""
     given = np.broadcast_arrays(apex_stretch, load, prestretch)
-    apex, t, rim = (np.pad(v, (0, padding), mode="edge") for v in given)
-
-    def work(i):
-        chunk = slice(i, i + MAP_CHUNK)
-        return [np.asarray(v) for v in _map_chunk(material, apex[chunk], t[chunk], rim[chunk], steps)]
-
-    begins = range(0, count + padding, MAP_CHUNK)
-    parts = [work(0), *threads().map(work, begins[1:])]  # the first alone: it compiles
-    return [np.concatenate(values)[:count] for values in zip(*parts, strict=True)]
+    return list(run_lanes(lambda part: _map_chunk(material, *part, steps), given, sizes=MAP_CHUNK))
 
 
 def _panel_matrix(panels, nodes, refinement: int):

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..numerics import run_lanes
 from .loading import LoadingCondition
 from .materials import largest_load
 from .membrane import Membrane
@@ -23,11 +24,11 @@ from .programs import (
     careful_program,
     charge_program,
     jacobian_program,
-    run_chunks,
     value_program,
 )
 from .resolution import (
     ADAPTIVE,
+    CHUNK,
     CONE_LOAD,
     CONTRACTION,
     FEW_ULPS,
@@ -305,8 +306,8 @@ class _Newton:
 
     def _linearise(self, which, steps):
         """Residual and V of the lanes `which` on a grid; what `jacobian_program` and `_system` give is kept."""
-        stretch_change, volume, self.sensitivities[..., which], self.zeros[which] = run_chunks(
-            lambda part: jacobian_program(self.membrane.material, part, steps), self.u[:, which]
+        stretch_change, volume, self.sensitivities[..., which], self.zeros[which] = run_lanes(
+            lambda part: jacobian_program(self.membrane.material, part, steps), self.u[:, which], sizes=CHUNK
         )
         residual, self.matrix[which] = self._system(which, stretch_change, volume, self.sensitivities[..., which])
         return residual, volume
@@ -386,8 +387,8 @@ class _Newton:
         first = np.full((len(self.settled), 2), np.nan)
         working = active
         for round_ in range(6):
-            stretch_change, volume, *rest = run_chunks(
-                lambda part: program(self.membrane, part, steps), self.u[:, working]
+            stretch_change, volume, *rest = run_lanes(
+                lambda part: program(self.membrane, part, steps), self.u[:, working], sizes=CHUNK
             )
             residual, _ = self._system(working, stretch_change, volume, self.sensitivities[..., working])
             move = -_solve(self.matrix[working], residual)
@@ -424,8 +425,8 @@ class _Newton:
     def _measure_charge(self, which, steps) -> None:
         """The derivatives of C on a grid, where the charge is controlled."""
         if self.condition.control == 3 and len(which):
-            _, self.charge_slopes[:, which] = run_chunks(
-                lambda part: charge_program(self.membrane.material, part, steps), self.u[:, which]
+            _, self.charge_slopes[:, which] = run_lanes(
+                lambda part: charge_program(self.membrane.material, part, steps), self.u[:, which], sizes=CHUNK
             )
 
     def refine_tangents(self, refine) -> None:

@@ -1,22 +1,20 @@
-"""The compiled programs of a membrane, each for a fixed number of lanes, and how any number of points goes through them."""
+"""The compiled programs of a membrane, each for a fixed number of lanes, and how they are compiled ahead."""
 
 import collections
 import concurrent.futures
-import functools
-import os
 from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..numerics import cached_jit
+from ..numerics import cached_jit, lanes_of_a_call
 from .materials import ArrudaBoyce, Gent, NeoHookean, stresses
 from .membrane import Membrane, field_ratio_squared, slopes
 from .resolution import CHUNK, MOST_KINDS, TRAIL_BLOCK
 from .shooting import UNKNOWNS, eighth_order_step, integrate_membrane
 
-__all__ = ["careful_program", "charge_program", "compile_ahead", "jacobian_program", "run_chunks", "value_program"]
+__all__ = ["careful_program", "charge_program", "compile_ahead", "jacobian_program", "value_program"]
 
 
 @cached_jit
@@ -142,22 +140,6 @@ def value_program(membrane, u, steps):
     return shot.stretch_change, shot.volume, shot.height, shot.charge, least[0], -least[1], admissible, elliptic
 
 
-def cores() -> int:
-    """How many cores batches use: the environment variable DIELECTRIC_JAX_CORES, else those this process may run on."""
-    asked = os.environ.get("DIELECTRIC_JAX_CORES", "")
-    if not asked:
-        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if not asked.isdecimal() or int(asked) < 1:
-        raise ValueError(f"`DIELECTRIC_JAX_CORES` must be a number of cores, at least 1, but is {asked!r}.")
-    return int(asked)
-
-
-@functools.cache
-def threads() -> concurrent.futures.ThreadPoolExecutor:
-    """One thread a core, for work that waits for no other of these threads."""
-    return concurrent.futures.ThreadPoolExecutor(cores())
-
-
 _compiling: collections.OrderedDict = collections.OrderedDict()
 
 
@@ -165,7 +147,7 @@ def compile_ahead(membrane: Membrane, more: tuple[Callable, ...] = ()) -> None:
     """Starts compiling the programs of this kind of membrane side by side, and `more`; `corrected_points` waits for its own."""
     key = jax.tree.structure(membrane)
     if key not in _compiling:
-        u = np.tile(np.array([[float(membrane.prestretch) + 0.1], [0.1], [0.0]]), (1, CHUNK))
+        u = np.tile(np.array([[float(membrane.prestretch) + 0.1], [0.1], [0.0]]), (1, lanes_of_a_call(CHUNK)))
         jobs = (
             *more,
             lambda: jacobian_program(membrane.material, u, 2.0),
@@ -181,16 +163,3 @@ def compile_ahead(membrane: Membrane, more: tuple[Callable, ...] = ()) -> None:
 def await_programs(membrane: Membrane) -> None:
     for job in _compiling.get(jax.tree.structure(membrane), ()):
         job.result()
-
-
-def run_chunks(program: Callable, u: np.ndarray) -> list[np.ndarray]:
-    """`program` on lanes u of shape (3, lanes), in chunks of one compiled shape, on all cores."""
-    count = u.shape[1]
-    u = np.pad(u, ((0, 0), (0, -count % CHUNK)), mode="edge")
-    parts = [u[:, i : i + CHUNK] for i in range(0, u.shape[1], CHUNK)]
-
-    def work(part):
-        return [np.asarray(v) for v in program(part)]
-
-    done = [work(parts[0]), *(threads().map(work, parts[1:]) if len(parts) > 1 else [])]
-    return [np.concatenate(pieces, axis=-1)[..., :count] for pieces in zip(*done, strict=True)]

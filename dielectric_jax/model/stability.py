@@ -15,13 +15,12 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.optimize import minimize_scalar
 
-from ..numerics import cached_jit
+from ..numerics import cached_jit, run_lanes
 from .loading import Chamber, ChargeControl, PrescribedVolume, mechanical
 from .materials import stresses
 from .membrane import Membrane
-from .programs import run_chunks
 from .records import State
-from .resolution import EQUILIBRIUM, GRID_DOUBT, LEAST_ESTIMATE, STABILITY_GRIDS, STATE_DOUBT
+from .resolution import CHUNK, EQUILIBRIUM, GRID_DOUBT, LEAST_ESTIMATE, STABILITY_GRIDS, STATE_DOUBT
 from .scene import Scene
 from .shooting import UNKNOWNS, integrate_membrane
 
@@ -202,7 +201,8 @@ def survey(membrane: Membrane, states: list[State]) -> list:
     if not states:
         return []
     return [
-        run_chunks(lambda part, n=steps: _survey_program(membrane.material, part, n), u) for steps in STABILITY_GRIDS
+        run_lanes(lambda part, n=steps: _survey_program(membrane.material, part, n), u, sizes=CHUNK)
+        for steps in STABILITY_GRIDS
     ]
 
 

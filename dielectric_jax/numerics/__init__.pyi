@@ -3,6 +3,7 @@ from .codes import Code, SceneError, StoreError, WorkersLost, check_between, che
 from .compiled import cached_jit, elementwise, of_this_package, source_digest
 from .continuation import Problem, Steps, Trace, Walk, advance, begin, trace
 from .elementary import log1p, reciprocal, sine_cosine, softplus
+from .lanes import calls_of, cores, lanes_of_a_call, run_lanes, threads
 from .locks import Locked, alone
 from .resolution import LARGEST
 
@@ -22,20 +23,25 @@ __all__ = [
     "begin",
     "cache_folder",
     "cached_jit",
+    "calls_of",
     "check_between",
     "check_positive",
     "check_whole",
+    "cores",
     "elementwise",
     "enable_compilation_cache",
     "enabled_folder",
     "is_own",
+    "lanes_of_a_call",
     "log1p",
     "make_folder",
     "of_this_package",
     "reciprocal",
+    "run_lanes",
     "shown",
     "sine_cosine",
     "softplus",
     "source_digest",
+    "threads",
     "trace",
 ]

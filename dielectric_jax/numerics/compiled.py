@@ -25,6 +25,7 @@ import numpy as np
 from jax.experimental import serialize_executable
 
 from .cache import enabled_folder, is_own, make_folder, write_own
+from .lanes import run_lanes
 from .resolution import LANES, MOST_LIVE, MOST_SHELVED, VECTOR_WIDTH
 
 __all__ = ["cached_jit", "elementwise", "of_this_package", "source_digest"]
@@ -215,17 +216,9 @@ def elementwise(function: Callable, *, lanes: int = LANES) -> Callable:
             return plain(*args)
         module, *values = args
         given = np.broadcast_arrays(*(np.asarray(v, float) for v in values))
-        shape, count = given[0].shape, given[0].size
-        flat = np.ones((len(given), max(count + -count % lanes, lanes)))
-        flat[:, :count] = [v.ravel() for v in given]
-        flat[:, count:] = flat[:, count - 1 : count] if count else 1.0
-        parts = [program(module, *flat[:, i : i + lanes]) for i in range(0, flat.shape[1], lanes)]
-
-        def joined(*pieces):
-            whole = np.concatenate([np.asarray(v) for v in pieces], axis=-1)[..., :count]
-            return whole.reshape((*whole.shape[:-1], *shape))
-
-        return jax.tree.map(joined, *parts)
+        shape, flat = given[0].shape, [v.ravel() for v in given]
+        found = run_lanes(lambda part: program(module, *part), flat, sizes=lanes, parallel=False)
+        return jax.tree.map(lambda v: v.reshape((*v.shape[:-1], *shape)), found)
 
     return call
 

@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..model import (
+    CHUNK,
     AbstractMaterial,
     Membrane,
     capacitance,
@@ -29,11 +30,10 @@ from ..model import (
     integrate_membrane,
     largest_load,
     map_nodes,
-    run_chunks,
     slopes,
     stresses,
 )
-from ..numerics import cached_jit, elementwise, sine_cosine
+from ..numerics import cached_jit, elementwise, run_lanes, sine_cosine
 from .elements import Element, Sampler, Task, coefficients, fresh_places, marks, node_points, read, refine
 from .resolution import COLUMNS, FRESH, LOAD_MARKS, MAP_STEPS, NODES
 
@@ -90,7 +90,7 @@ def surface_states(material: AbstractMaterial, apex, load, rim, guess, steps: fl
     """
     apex, load, rim, guess = np.broadcast_arrays(apex, load, rim, guess)
     u = np.stack([apex, guess, load * largest_load(material, apex), rim])
-    *values, away = run_chunks(lambda part: _surface_program(material, part, steps), u)
+    *values, away = run_lanes(lambda part: _surface_program(material, part, steps), u, sizes=CHUNK)
     return np.where(away < 0.05, np.stack(values), np.nan)
 
 

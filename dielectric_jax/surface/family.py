@@ -26,10 +26,9 @@ from ..model import (
     integrate_membrane,
     largest_load,
     slopes,
-    threads,
     window_end,
 )
-from ..numerics import cached_jit, check_between, elementwise
+from ..numerics import cached_jit, check_between, elementwise, run_lanes
 from .build import QUANTITIES, AbstractBuilder, columns, edge_factors, element, logarithms, rim_state, state_rates
 from .elements import (
     Element,
@@ -118,15 +117,12 @@ def _states_program(material: AbstractMaterial, u, shares, radius, values, count
 def _trajectory_states(material: AbstractMaterial, apex, load, pressure, sets: list, steps: float) -> list[np.ndarray]:
     """The states (5, shares, n) along the trajectories of (λa, t, p) at each of several sets of 16 shares."""
     u = np.stack([apex, pressure, load * largest_load(material, apex)])
-    u = np.pad(u, ((0, 0), (0, -apex.size % CHUNK)), mode="edge")
 
-    def work(i):
-        part = u[:, i : i + CHUNK]
+    def states(part):
         trajectory = _trajectory_program(material, part, steps)
-        return [np.asarray(_states_program(material, part, shares, *trajectory)) for shares in sets]
+        return [_states_program(material, part, shares, *trajectory) for shares in sets]
 
-    parts = [work(0), *threads().map(work, range(CHUNK, u.shape[1], CHUNK))]
-    return [np.concatenate(pieces, axis=-1)[..., : apex.size] for pieces in zip(*parts, strict=True)]
+    return run_lanes(states, u, sizes=CHUNK)
 
 
 class _Builder(AbstractBuilder):

@@ -14,8 +14,7 @@ import threading
 import typing
 from collections.abc import Callable, Iterator, Sequence
 
-from ..model import cores
-from ..numerics import WorkersLost, shown
+from ..numerics import WorkersLost, cores, shown
 from .resolution import MOST_DEATHS
 from .store import need
 

@@ -12,7 +12,7 @@ import time
 import pytest
 
 import dielectric_jax as dj
-from dielectric_jax.model.programs import cores
+from dielectric_jax.numerics import cores
 from dielectric_jax.numerics.codes import WorkersLost
 from dielectric_jax.sweeps import executors
 from dielectric_jax.sweeps.executors import Progress, executor_of, run_blocks
