@@ -195,9 +195,8 @@ def starts(scenes: list[Scene], scene_batch: SceneBatch, tolerance: float) -> Co
                 u[which] = np.where(
                     np.isfinite(place)[:, None], np.stack([rim + stretch, pressure, 0 * rim], axis=1), np.nan
                 )
-    held = ConstantVoltage(0.0).condition()
-    flat = SceneBatch(
-        scene_batch.membrane, jax.tree.map(lambda v: np.full(lanes, float(v)), held), scene_batch.locks_from
+    flat = dataclasses.replace(
+        scene_batch, condition=jax.tree.map(lambda v: np.full(lanes, float(v)), ConstantVoltage(0.0).condition())
     )
     corrected = Corrected.nothing(lanes)
     same: dict = {}  # scenes that begin in one state share it
