@@ -76,10 +76,10 @@ def film_scenes(seed: int, count: int) -> list[dict]:
 # states of such films: where the apex is, as a share of the way from the rim to lock-up, and the load fraction t = q/q_max
 
 
-def _with_crowds(even, crowd, crowds) -> np.ndarray:
-    """The `even` numbers, replaced where `crowd` is one of the members of a pair (members, numbers)."""
-    for members, numbers in crowds:
-        even = np.where(np.isin(crowd, members), numbers, even)
+def _with_strata(even, stratum, strata) -> np.ndarray:
+    """The `even` numbers, replaced where `stratum` is one of the members of a pair (members, numbers)."""
+    for members, numbers in strata:
+        even = np.where(np.isin(stratum, members), numbers, even)
     return even
 
 
@@ -89,40 +89,40 @@ def _at(rim, limit, share, t) -> dict:
     return {"apex_stretch": apex, "q": t * truth.largest_load(apex, limit), "t": t}
 
 
-def loaded_states(seed: int, count: int, kinds: dict, crowds: dict, top: float) -> dict:
-    """States (count,) of as many films, each under a kind of loading, some of them crowded near the load fraction `top`.
+def loaded_states(seed: int, count: int, kinds: dict, strata: dict, top: float) -> dict:
+    """States (count,) of as many films, each under a kind of loading, some strata of them near the load fraction `top`.
 
-    `kinds` and `crowds` give the shares of each kind of loading and of each crowd: even, near `top`, flat, towards
+    `kinds` and `strata` give the shares of each kind of loading and of each stratum: even, near `top`, flat, towards
     lock-up, and there near `top`.
     """
     random = np.random.default_rng(seed)
     rim, limit = gent_parameters(random, count)
-    crowd = random.choice(len(crowds), count, p=list(crowds.values()))
+    stratum = random.choice(len(strata), count, p=list(strata.values()))
     t = random.uniform(-1, top, count)
-    t = _with_crowds(t, crowd, [((1, 4), top - log_uniform(random, 1e-4, 0.2, count))])
+    t = _with_strata(t, stratum, [((1, 4), top - log_uniform(random, 1e-4, 0.2, count))])
     share = random.uniform(1e-4, 1, count)
     flat, locked = log_uniform(random, 1e-4, 0.1, count), random.uniform(0.93, 1, count)
-    share = _with_crowds(share, crowd, [((2,), flat), ((3, 4), locked)])
+    share = _with_strata(share, stratum, [((2,), flat), ((3, 4), locked)])
     kind = random.choice(len(kinds), count, p=list(kinds.values()))
     chamber = chamber_volumes(random, count)
     film = {"prestretch": rim, "stretch_limit": limit, "chamber_volume": chamber}
-    return film | {"crowd": crowd, "kind": kind} | _at(rim, limit, share, t)
+    return film | {"stratum": stratum, "kind": kind} | _at(rim, limit, share, t)
 
 
-def film_states(seed: int, count: int, each: int, crowds: dict) -> dict:
-    """States (count,), `each` of every film and chamber; `crowds` gives the shares: even, towards the cone, flat, lock-up."""
+def film_states(seed: int, count: int, each: int, strata: dict) -> dict:
+    """States (count,), `each` of every film and chamber; `strata` gives the shares: even, towards the cone, flat, lock-up."""
     random = np.random.default_rng(seed)
     films = -(-count // each)
     drawn = *gent_parameters(random, films), chamber_volumes(random, films)
     rim, limit, chamber = (np.repeat(values, each)[:count] for values in drawn)
-    crowd = random.choice(len(crowds), count, p=list(crowds.values()))
+    stratum = random.choice(len(strata), count, p=list(strata.values()))
     t = random.uniform(-1, 0.9, count)
-    t = _with_crowds(t, crowd, [((1,), 1 - log_uniform(random, 1e-2, 0.3, count))])
+    t = _with_strata(t, stratum, [((1,), 1 - log_uniform(random, 1e-2, 0.3, count))])
     share = random.uniform(1e-3, 0.97, count)
     flat, locked = log_uniform(random, 1e-4, 0.1, count), random.uniform(0.9, 0.999, count)
-    share = _with_crowds(share, crowd, [((2,), flat), ((3,), locked)])
+    share = _with_strata(share, stratum, [((2,), flat), ((3,), locked)])
     film = {"prestretch": rim, "stretch_limit": limit, "chamber_volume": chamber}
-    return film | {"crowd": crowd} | _at(rim, limit, share, t)
+    return film | {"stratum": stratum} | _at(rim, limit, share, t)
 
 
 # materials of all kinds, each with a small-strain shear modulus of 1

@@ -26,7 +26,7 @@ dj.enable_compilation_cache()
 TOLERANCE, ALLOWED_RATIO, TOP = 1e-9, 10.0, 0.9
 # and their shares of the states
 KINDS = {"voltage": 0.5, "pressure": 0.2, "chamber": 0.3}
-CROWDS = {"even": 0.5, "near t = 0.9": 0.15, "flat end": 0.1, "lock-up": 0.125, "lock-up near t = 0.9": 0.125}
+STRATA = {"even": 0.5, "near t = 0.9": 0.15, "flat end": 0.1, "lock-up": 0.125, "lock-up near t = 0.9": 0.125}
 
 
 @jax.jit
@@ -147,7 +147,7 @@ def describe(states: dict, i: int) -> dict:
     names = ("prestretch", "stretch_limit", "apex_stretch", "t", "q")
     out = {n: float(states[n][i]) for n in names} | {
         "loading": list(KINDS)[states["kind"][i]],
-        "crowd": list(CROWDS)[states["crowd"][i]],
+        "stratum": list(STRATA)[states["stratum"][i]],
     }
     return out | ({"chamber_volume": float(states["chamber_volume"][i])} if states["kind"][i] == 2 else {})
 
@@ -189,9 +189,9 @@ class Judged:
         return [self.case(i) for i in order[:most]]
 
     def groups(self) -> dict:
-        """Counts and quantiles of every crowd and every kind of loading."""
+        """Counts and quantiles of every stratum and every kind of loading."""
         out = {}
-        for label, names, member in (("crowd", CROWDS, "crowd"), ("loading", KINDS, "kind")):
+        for label, names, member in (("stratum", STRATA, "stratum"), ("loading", KINDS, "kind")):
             for k, name in enumerate(names):
                 mine = self.states[member] == k
                 out[f"{label}: {name}"] = {
@@ -224,7 +224,7 @@ def main() -> int:
     count = 12 if options.quick else options.scenes
     report, watch = harness.Progress(), harness.Stopwatch()
     report(f"seed {options.seed}, {count} states")
-    states = loaded_states(options.seed, count, KINDS, CROWDS, TOP)
+    states = loaded_states(options.seed, count, KINDS, STRATA, TOP)
     begin = start(states)
     found, raised = watch.time(engine, states, begin, report)
     judged = Judged(states, found, *true_errors(states, begin, found, report))

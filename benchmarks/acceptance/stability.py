@@ -23,7 +23,7 @@ jax.config.update("jax_enable_x64", True)
 dj.enable_compilation_cache()
 
 EACH = 20  # states of a membrane
-CROWDS = {"even": 0.55, "towards the cone": 0.25, "flat end": 0.1, "lock-up": 0.1}  # shares of the states
+STRATA = {"even": 0.55, "towards the cone": 0.25, "flat end": 0.1, "lock-up": 0.1}  # shares of the states
 HELD = ("pressure", "chamber", "volume")
 _UNSURE = 1e-9  # an eigenvalue of the scaled matrix below which its sign is not known
 _DEFECT = 1e-5  # of λ2 at the rim
@@ -151,7 +151,7 @@ def main() -> int:
     args = parser.parse_args()
     count = 2 * EACH if args.quick else args.states
     report = harness.Progress()
-    tally = Tally(equilibria(film_states(args.seed, count, EACH, CROWDS)))
+    tally = Tally(equilibria(film_states(args.seed, count, EACH, STRATA)))
     for start in range(args.first, count, EACH):
         tally.add(np.arange(start, min(start + EACH, count)))
         if start // EACH % 25 == 0:
