@@ -1,7 +1,7 @@
 from .cache import cache_folder, enable_compilation_cache, enabled_folder, is_own, make_folder
 from .codes import Code, SceneError, StoreError, WorkersLost, check_between, check_positive, check_whole, shown
 from .compiled import cached_jit, elementwise, of_this_package, source_digest
-from .continuation import Problem, Steps, Trace, Walk, advance, begin, trace
+from .continuation import Problem, Steps, Trace, Walk, advance, begin, shorter, stepped, trace
 from .elementary import log1p, reciprocal, sine_cosine, softplus
 from .locks import Locked, alone
 from .resolution import LARGEST
@@ -33,9 +33,11 @@ __all__ = [
     "make_folder",
     "of_this_package",
     "reciprocal",
+    "shorter",
     "shown",
     "sine_cosine",
     "softplus",
     "source_digest",
+    "stepped",
     "trace",
 ]
