@@ -1,4 +1,8 @@
-"""Following folds and breakdown as a parameter changes: pseudo-arclength continuation in (λa, p, q, θ), see `two_parameters`."""
+"""Following folds and breakdown as a parameter changes: pseudo-arclength continuation in (λa, p, q, θ), see `two_parameters`.
+
+Steps are those of `numerics.continuation`, which is given the equations' value and Jacobian; each new point is then corrected on
+a finer grid, and searched for what lies between it and the last.
+"""
 
 import functools
 import math
@@ -23,27 +27,23 @@ from ..model import (
     largest_load,
     locking_stretch,
 )
-from ..numerics import SceneError, cached_jit
+from ..numerics import Code, Problem, SceneError, Walk, begin, cached_jit, shorter, stepped
 from .critical_points import Found, find, start_of
 from .fixed_load import zero_states
 from .point_systems import Conditions, Solution, linearised
 from .resolution import (
     AGREED,
-    FIRST_STEP,
+    CURVE_STEPS,
     GRIDS,
     LARGEST_LOAD,
-    LARGEST_STEP,
     LEAP,
     LEAST_ERROR_ON_CURVE,
     LOG_FROM,
-    MOST_OFFSET,
-    MOST_POINTS,
-    MOST_TURN,
     ON_LEVEL,
+    OVER_CORNER,
     ROOT,
     SAFETY,
     SETTLED,
-    SMALLEST_STEP,
 )
 from .rim import ShotRim
 
@@ -235,21 +235,26 @@ class System:
     def _fraction(self, u) -> float:
         return float(u[2] / largest_load(self.membrane.material, u[:1])[0])
 
-    def correct(self, z: np.ndarray, row: np.ndarray, target: float, towards, reach=0.3, finer=0) -> Place:
-        """The point of the curve with row·z = target near z; its tangent points `towards`. Raises Lost.
-
-        The tangent is the one before Newton's last step. `finer` moves on to finer grids, which make that step smaller.
-        """
-        begin, length = z, float(np.linalg.norm(row))
-        row, target = row / length, target / length
+    def grids(self, z: np.ndarray, finer: int = 0) -> tuple:
+        """The pairs of grids that resolve the membrane at z, the next ones for `finer`."""
         u = z[:3] * SCALE
         hard = int(difficulty(locking_stretch(self.membrane), u[:1], np.array([self._fraction(u)]))[0])
-        for coarse, fine in GRIDS[min(hard + finer, 2) :]:
-            size = math.inf
+        return GRIDS[min(hard + finer, 2) :]
+
+    def correct(self, z: np.ndarray, row: np.ndarray, towards, reach=0.3, finer=0, known=0.0) -> Place:
+        """The point of the curve near z in the plane through it normal to `row`; its tangent points `towards`. Raises Lost.
+
+        The tangent is the one before Newton's last step. `finer` moves on to finer grids, which make that step smaller.
+        On the grid of `known` steps z is the point.
+        """
+        start, row = z, row / float(np.linalg.norm(row))
+        target = float(row @ z)
+        for coarse, fine in self.grids(z, finer):
+            size = 0.0 if coarse == known else math.inf
             for steps in (*[coarse] * 7, fine):
                 if steps == coarse and size < SETTLED:
                     continue
-                if not (np.isfinite(z).all() and z[0] * SCALE[0] > 1.0 and np.abs(z - begin).max() < reach):
+                if not (np.isfinite(z).all() and z[0] * SCALE[0] > 1.0 and np.abs(z - start).max() < reach):
                     raise Lost
                 value, jacobian, volume = self.linear(z, steps)
                 try:
@@ -288,7 +293,9 @@ def _between(system: System, one: Place, other: Place, function: typing.Any) -> 
     if isinstance(function, tuple):
         column, level = function
         share = (level - one.z[column]) / (other.z[column] - one.z[column])
-        return system.correct(one.z + share * (other.z - one.z), np.eye(4)[column], level, one.tangent, 2.0)
+        guess = one.z + share * (other.z - one.z)
+        guess[column] = level
+        return system.correct(guess, np.eye(4)[column], one.tangent, 2.0)
     chord = other.z - one.z
     slopes = [p.tangent * (chord @ chord / (p.tangent @ chord)) for p in (one, other)]
     known = {0.0: one, 1.0: other}
@@ -296,7 +303,7 @@ def _between(system: System, one: Place, other: Place, function: typing.Any) -> 
     def value(s: float) -> float:
         if s not in known:
             guess = hermite(one.z, other.z, slopes[0], slopes[1], 1.0, s)
-            known[s] = system.correct(guess, chord, float(chord @ guess), one.tangent, finer=1)
+            known[s] = system.correct(guess, chord, one.tangent, finer=1)
         return float(function(known[s]))
 
     s = float(brentq(value, 0.0, 1.0, xtol=ROOT))  # pyright: ignore[reportArgumentType]
@@ -322,66 +329,100 @@ def follow(system: System, start: Place, levels: np.ndarray, largest_ratio: floa
     return Followed([*reversed(behind[1:]), *ahead], (begin, end), crossed + more, special + others)
 
 
+#: walks in scaled unknowns, which end outside the parameter's bounds
+_WALKS = Problem(
+    None,
+    np.ones(4),
+    lambda z, args: jnp.stack([z[3] + ON_LEVEL, 1 + ON_LEVEL - z[3]]),
+    (Code.window_load, Code.window_load),
+    steps=CURVE_STEPS,
+)
+
+
+@cached_jit
+def _step_program(walk, value, jacobian):
+    """One pass of a walk, and whether it arrives at a point."""
+    walk, accept = stepped(_WALKS, Walk(*walk), value, jacobian)
+    return tuple(walk), accept
+
+
+def _begun(place: Place) -> Walk:
+    """A walk that stands on a place, which is corrected already, and heads along its tangent."""
+    walk = begin(_WALKS, place.z, place.tangent)
+    # half of twice the first step
+    walk = shorter(walk._replace(count=walk.count + 1, step=jnp.asarray(2 * CURVE_STEPS.first)))
+    return jax.tree.map(np.asarray, walk)
+
+
 def _one_way(system: System, start: Place, sense: float, levels: np.ndarray, largest_ratio: float):
     """The places from `start` on, why the curve ends, the crossings and the special points."""
     places, crossings, points = [start._replace(tangent=sense * start.tangent)], [], []
-    step, bend = FIRST_STEP, np.zeros(4)
-    while len(places) < MOST_POINTS:
-        here = places[-1]
-        turn = offset = math.inf
-        passed, lost, there = None, "step_too_small", here
+    walk, lost = _begun(places[0]), "step_too_small"
+    while True:
+        here, before = places[-1], walk
+        passed = None
         try:
-            ahead, guess, end = _ahead(system, here, step, bend)
-            if ahead is None:
-                return places, end, crossings, points
-            there = ahead
-            turn = math.acos(min(1.0, there.tangent @ here.tangent))
-            offset = float(np.linalg.norm(there.z - guess)) / step
-            # a breakdown law may have a kink, and its curve a corner
-            corner = system.kind == PointKind.breakdown and step < 4 * SMALLEST_STEP
-            if (turn <= MOST_TURN and offset <= MOST_OFFSET) or corner:
+            walk, there, end = _ahead(system, here, before)
+            if there is not None:
                 passed = _passed(system, here, there, levels, largest_ratio, end)
-        except _NoFilling:
-            lost = "no_filling"
-        except (Lost, SceneError, ValueError):  # the curve or scene does not exist there: a shorter step
-            pass
-        if passed is None:
-            step /= 2
-            if step < SMALLEST_STEP:
+            elif end:
+                return places, end, crossings, points
+        except (Lost, SceneError, ValueError) as error:  # the curve or scene does not exist there: a shorter step
+            walk = _retreat(before)
+            lost = "no_filling" if isinstance(error, _NoFilling) else "step_too_small"
+        if passed is not None:
+            more, crossed, special, end = passed
+            places += more
+            crossings += crossed
+            points += special
+            if walk.code == Code.closed:
+                places[-1] = places[0]
+            if end or walk.code != Code.ok:
+                return places, end or Code(int(walk.code)).name, crossings, points
+            lost = "step_too_small"
+        elif walk.code == Code.step_too_small:
+            cornered = system.kind == PointKind.breakdown and walk.count > 1 and before.code == Code.ok
+            if not cornered or lost == "no_filling":
                 leapt = abs(system.conditions.filling - here.filling) > LEAP
                 return places, "no_filling" if leapt else lost, crossings, points
+        elif walk.step < before.step:
             system.conditions.begin_anew()
-            continue
-        more, crossed, special, end = passed
-        places += more
-        crossings += crossed
-        points += special
-        if end:
-            return places, end, crossings, points
-        length = float(np.linalg.norm(there.z - here.z))
-        bend = (there.tangent - here.tangent) / length
-        away = float(np.linalg.norm(there.z - start.z))
-        if len(places) > 4 and away < length and sense * there.tangent @ start.tangent > 0.5:
-            places[-1] = places[0]
-            return places, "closed", crossings, points
-        ease = min(0.5 * MOST_TURN / (turn + 1e-12), 0.5 * MOST_OFFSET / (offset + 1e-12))
-        step = min(max(step * min(max(math.sqrt(ease), 0.5), 2.0), SMALLEST_STEP), LARGEST_STEP)
-    return places, "too_many_points", crossings, points
 
 
-def _ahead(system: System, here: Place, step: float, bend) -> tuple[Place | None, np.ndarray, str]:
-    """The next place, its prediction, and the bound it lies on, if any; None if the curve is at a bound already."""
-    guess = here.z + step * here.tangent + step**2 / 2 * bend
-    if 0 <= guess[3] <= 1:
-        there = system.correct(guess, here.tangent, here.tangent @ guess, here.tangent, 2 * step)
-        if 0 <= there.z[3] <= 1:
-            return there, guess, ""
-        guess = there.z
-    end, bound = ("lower_bound", 0.0) if guess[3] < 0 else ("upper_bound", 1.0)
+def _retreat(walk: Walk) -> Walk:
+    """The walk with half its step, ended if that is too small."""
+    walk = shorter(walk)
+    code = Code.step_too_small if walk.step < CURVE_STEPS.smallest else Code.ok
+    return walk._replace(code=jnp.asarray(int(code)))
+
+
+def _ahead(system: System, here: Place, walk: Walk) -> tuple[Walk, Place | None, str]:
+    """The walk one pass further, the place it arrives at, if any, and the bound that the curve ends at, if it is reached."""
+    if walk.code == Code.step_too_small:  # a breakdown law may have a kink, and its curve a corner: over it
+        there = system.correct(here.z + OVER_CORNER * here.tangent, here.tangent, here.tangent, 4 * OVER_CORNER)
+        return _begun(there)._replace(origin=walk.origin, heading=walk.heading), there, ""
+    if not 0 <= walk.trial[3] <= 1:
+        return walk, *_to_bound(system, here, np.asarray(walk.trial), 2 * float(walk.step))
+    steps = system.grids(here.z)[0][0]
+    value, jacobian, _ = system.linear(np.asarray(walk.trial), steps)
+    after, accept = _step_program(tuple(walk), value, jacobian)
+    after = Walk(*jax.tree.map(np.asarray, after))
+    if not accept:
+        return after, None, ""
+    near, reach = np.asarray(after.base), 2 * float(walk.step)
+    if after.code == Code.window_load:
+        return walk, *_to_bound(system, here, near, reach)
+    return after, system.correct(near, here.tangent, here.tangent, reach, known=steps), ""
+
+
+def _to_bound(system: System, here: Place, outside: np.ndarray, reach: float) -> tuple[Place | None, str]:
+    """The place at the bound of the parameter on the way to a point outside it; None if the curve is there already."""
+    end, bound = ("lower_bound", 0.0) if outside[3] < 0 else ("upper_bound", 1.0)
     if abs(here.z[3] - bound) < ON_LEVEL:
-        return None, guess, end
-    guess = here.z + (guess - here.z) * (bound - here.z[3]) / (guess[3] - here.z[3])
-    return system.correct(guess, np.eye(4)[3], bound, here.tangent, 2 * step), guess, end
+        return None, end
+    guess = here.z + (outside - here.z) * (bound - here.z[3]) / (outside[3] - here.z[3])
+    guess[3] = bound
+    return system.correct(guess, np.eye(4)[3], here.tangent, reach), end
 
 
 def _passed(system: System, here: Place, there: Place, levels: np.ndarray, largest_ratio: float, end: str):

@@ -9,14 +9,13 @@ __all__ = [
     "AGREED",
     "CLIMB_GRIDS",
     "CLIMB_STEPS",
+    "CURVE_STEPS",
     "DRAWN",
     "EXPLICIT_STEPS",
     "FINE",
-    "FIRST_STEP",
     "GRIDS",
     "HIDDEN_FOLDS",
     "LARGEST_LOAD",
-    "LARGEST_STEP",
     "LEAP",
     "LEAST_ERROR",
     "LEAST_ERROR_ON_CURVE",
@@ -24,17 +23,14 @@ __all__ = [
     "LOG_FROM",
     "MANY",
     "MOST_LINES",
-    "MOST_OFFSET",
-    "MOST_POINTS",
-    "MOST_TURN",
     "NODES",
     "ON_LEVEL",
+    "OVER_CORNER",
     "PRESTRETCH_SPACING",
     "ROOT",
     "SAFETY",
     "SAME_POINT",
     "SETTLED",
-    "SMALLEST_STEP",
     "STEPS",
     "TOLERANCE",
 ]
@@ -91,12 +87,12 @@ MOST_LINES = 512
 
 # ---- curves in two parameters (`benchmarks/acceptance/fold_curves.py`: about 50 points a curve)
 
-#: first, largest and smallest step along a curve, in scaled unknowns; where the smallest fails the curve ends
-FIRST_STEP, LARGEST_STEP, SMALLEST_STEP = 0.02, 0.3, 1e-5
-#: the tangent's turn in one step, in radians, and the prediction's distance, as a share of the step; larger ones halve it
-MOST_TURN, MOST_OFFSET = 0.25, 0.1
-#: points of a curve one way; a longer one is given up
-MOST_POINTS = 2000
+#: steps along a curve, in scaled unknowns; its tolerance leaves so little to Newton that the finer grid shows the coarser one's error
+CURVE_STEPS = Steps(
+    first=0.02, largest=0.3, smallest=1e-5, most_turn=0.25, most_correction=0.1, tolerance=1e-10, most_points=2000
+)
+#: of the step over a corner of a curve of breakdown, where its law has a kink
+OVER_CORNER = 4e-5
 #: Newton's last moves on the coarser grid and on the finer, in scaled unknowns; above the latter a finer pair is taken
 SETTLED, AGREED = 1e-6, 1e-7
 #: of λa of the filling from one point to the next: a larger change means the filling of another branch

@@ -200,7 +200,7 @@ def _followed(system: System, shares, seeds: list, largest_ratio: float) -> tupl
             continue
         system.conditions.begin_anew()
         try:
-            start = system.correct(z, np.array([0.0, 0.0, 0.0, 1.0]), z[3], np.ones(4))
+            start = system.correct(z, np.array([0.0, 0.0, 0.0, 1.0]), np.ones(4))
         except (Lost, SceneError, ValueError):
             doubts.append((z, " of the diagram was not reached by Newton."))
             continue

@@ -1,7 +1,7 @@
 from .cache import cache_folder, enable_compilation_cache, enabled_folder, is_own, make_folder
 from .codes import Code, SceneError, StoreError, WorkersLost, check_between, check_positive, check_whole, shown
 from .compiled import cached_jit, elementwise, of_this_package, source_digest
-from .continuation import Problem, Steps, Trace, Walk, advance, begin, trace
+from .continuation import Problem, Steps, Trace, Walk, advance, begin, shorter, stepped, trace
 from .elementary import log1p, reciprocal, sine_cosine, softplus
 from .lanes import calls_of, cores, lanes_of_a_call, run_lanes, threads
 from .locks import Locked, alone
@@ -38,10 +38,12 @@ __all__ = [
     "of_this_package",
     "reciprocal",
     "run_lanes",
+    "shorter",
     "shown",
     "sine_cosine",
     "softplus",
     "source_digest",
     "threads",
+    "stepped",
     "trace",
 ]

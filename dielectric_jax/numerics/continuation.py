@@ -3,7 +3,7 @@
 Predictor: along the unit tangent (null vector of the exact Jacobian, in scaled unknowns), bent as between the last two, or
 the cubic through the last two points and tangents, which makes longer steps and is less forgiving of noise.
 Corrector: Newton on the residual bordered with the hyperplane through the prediction. `advance` is one pass with one
-linearisation, `trace` a loop of passes; so lanes under `vmap` never wait for another lane's Newton, and many lanes may be
+linearisation, `stepped` the same where that is computed elsewhere, `trace` a loop of passes; so lanes under `vmap` never wait for another lane's Newton, and many lanes may be
 advanced a few passes at a time, those that have ended making room for others. A walk that has ended changes nothing.
 
 A step is accepted when the remainder of Newton (the square of the last correction) is below the tolerance times the
@@ -25,7 +25,7 @@ from jaxtyping import Array, Float, Int
 from .codes import Code
 from .resolution import FIRST_TRIES, LEAST_GROWTH, MOST_CONTRACTION, MOST_GROWTH, NEWTON_TRIES
 
-__all__ = ["Problem", "Steps", "Trace", "Walk", "advance", "begin", "trace"]
+__all__ = ["Problem", "Steps", "Trace", "Walk", "advance", "begin", "shorter", "stepped", "trace"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,6 +113,7 @@ class Trace(typing.NamedTuple):
 class Problem:
     """What is continued: `residual(u, args)` with n − 1 components, `scale` of the n unknowns, and where it ends.
 
+    `residual` may be None where `stepped` is given its value and Jacobian.
     `margins(u, args)` returns one number for each of `codes`, positive inside the box; both sides of every variable
     belong in it. `linearise(u, args)` gives value and Jacobian where a cheaper way than jacfwd of `residual` is known.
     `monitors(u, args)` returns quantities that may change by at most `most_change` a step, such as the logarithm of the
@@ -121,7 +122,7 @@ class Problem:
     that finds the curve farther away ends at once.
     """
 
-    residual: Callable
+    residual: Callable | None
     scale: typing.Any
     margins: Callable
     codes: tuple[Code, ...]
@@ -136,9 +137,12 @@ class Problem:
         if self.linearise is not None:
             value, jacobian = self.linearise(v * self.scale, self.args)
             return value, jacobian * self.scale
+        residual = self.residual
+        if residual is None:
+            raise ValueError("`residual` must be a function, but is None.")
 
         def both(v):
-            value = self.residual(v * self.scale, self.args)
+            value = residual(v * self.scale, self.args)
             return value, value
 
         jacobian, value = jax.jacfwd(both, has_aux=True)(v)
@@ -233,10 +237,10 @@ class _Place(typing.NamedTuple):
     closed: Array
 
 
-def _correct(problem: Problem, s: Walk, first) -> _Corrected:
+def _correct(problem: Problem, s: Walk, linear, first) -> _Corrected:
     steps = problem.steps
     anchor = _predict(s.base, s.tangent, s.bend, s.step)
-    value, jacobian = problem.linear(s.trial)
+    value, jacobian = linear
     move, tangent = _bordered(jacobian, value, s.tangent, s.tangent @ (s.trial - anchor))
     size = jnp.linalg.norm(move)
     tangent = tangent * jnp.where(tangent @ s.tangent < 0, -1.0, 1.0)
@@ -291,11 +295,24 @@ def _grown(steps: Steps, s: Walk, new: _Corrected, smallest, largest):
 
 def advance(problem: Problem, s: Walk) -> tuple[Walk, Array]:
     """One pass: the walk after one linearisation, and whether it now stands on a new point (its `base`)."""
+    return stepped(problem, s, *problem.linear(s.trial))
+
+
+def shorter(s: Walk) -> Walk:
+    """The walk back on its last point, from where it goes half as far."""
+    step = 0.5 * s.step
+    return s._replace(
+        step=step, trial=_predict(s.base, s.tangent, s.bend, step), last=jnp.asarray(jnp.inf), tries=jnp.asarray(0)
+    )
+
+
+def stepped(problem: Problem, s: Walk, value, jacobian) -> tuple[Walk, Array]:
+    """`advance` with value and Jacobian (n − 1, n) at the walk's `trial`, all in scaled unknowns; NaN means that there is none."""
     steps = problem.steps
     given = (steps.smallest, steps.largest, steps.largest) if problem.lengths is None else problem.lengths
     smallest, largest, farthest = given
     first = s.count == 0
-    new = _correct(problem, s, first)
+    new = _correct(problem, s, (value, jacobian), first)
     going, accept, failing = _judge(steps, s, new, first, farthest)
     place = _place(problem, s, new, first)
     count = s.count + accept

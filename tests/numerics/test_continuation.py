@@ -13,7 +13,7 @@ import dielectric_jax as dj
 from dielectric_jax import Code
 from dielectric_jax.diagram.tracing import run_trace
 from dielectric_jax.model import SCALE
-from dielectric_jax.numerics import Problem, Steps, trace
+from dielectric_jax.numerics import Problem, Steps, advance, begin, shorter, stepped, trace
 
 ONES = np.ones(2)
 USUAL = Steps()
@@ -226,6 +226,27 @@ def test_a_lane_that_fails_leaves_the_others_alone():
         assert int(single.count) == int(together.count[k])
         np.testing.assert_allclose(single.points, together.points[k], rtol=1e-12, atol=1e-13)
         assert np.isnan(np.asarray(together.points[k])[int(single.count) :]).all()
+
+
+def test_a_walk_may_be_given_its_value_and_jacobian():
+    """As where they are computed outside: the same walk, which a NaN or `shorter` sends back to half the step."""
+    inside = Problem(circle, ONES, **box([-2, -2], [2, 2]))
+    outside = dataclasses.replace(inside, residual=None)
+    walk = other = begin(inside, np.array([1.0, 0.0]), np.array([0.0, 1.0]))
+    for _ in range(12):
+        walk, arrived = advance(inside, walk)
+        other, also = stepped(outside, other, *inside.linear(other.trial))
+        assert arrived == also
+        jax.tree.map(np.testing.assert_array_equal, walk, other)
+    assert int(walk.count) > 3
+    back = shorter(walk)
+    assert back.step == walk.step / 2 and (back.base == walk.base).all()
+    there = np.asarray(back.trial - walk.base)
+    assert abs(np.linalg.norm(there) / float(back.step) - 1) < 0.05 and there @ walk.tangent > 0
+    lost, arrived = stepped(outside, back, np.full(1, np.nan), np.full((1, 2), np.nan))
+    assert not arrived and lost.step == back.step / 2
+    with pytest.raises(ValueError, match="`residual` must be a function, but is None"):
+        outside.linear(walk.trial)
 
 
 def test_the_scale_is_only_a_choice_of_units():
