@@ -4,6 +4,7 @@ from .compiled import cached_jit, elementwise, of_this_package, source_digest
 from .continuation import Problem, Steps, Trace, Walk, advance, begin, trace
 from .elementary import log1p, reciprocal, sine_cosine, softplus
 from .locks import Locked, alone
+from .newton import Root, SmallSystem, bracketed_root, polynomial_roots, root_find, solve_small
 from .resolution import LARGEST
 
 __all__ = [
@@ -11,7 +12,9 @@ __all__ = [
     "Code",
     "Locked",
     "Problem",
+    "Root",
     "SceneError",
+    "SmallSystem",
     "Steps",
     "StoreError",
     "Trace",
@@ -20,6 +23,7 @@ __all__ = [
     "advance",
     "alone",
     "begin",
+    "bracketed_root",
     "cache_folder",
     "cached_jit",
     "check_between",
@@ -32,10 +36,13 @@ __all__ = [
     "log1p",
     "make_folder",
     "of_this_package",
+    "polynomial_roots",
     "reciprocal",
+    "root_find",
     "shown",
     "sine_cosine",
     "softplus",
+    "solve_small",
     "source_digest",
     "trace",
 ]
