@@ -118,6 +118,7 @@ TURNING = 0.2  # of the rise before: a contour that leaves the window more slowl
 # Diagrams and ramps on a surface. Errors are checked by benchmarks.acceptance.surface_error and one_answer, sizes
 # measured by benchmarks.speed.sweep_throughput.
 SURFACE_NEWTON = 8  # steps of Newton on the surface
+SURFACE_MOVE = 0.3  # largest of them, in λa and t
 SURFACE_CONVERGED = 1e-9  # size of the last move, in λa and t
 CONTOUR_GRID = (320, 176)  # stretches and loads on which contours are drawn
 CONTOUR_VERTICES = 200  # of a contour, at most
