@@ -107,8 +107,12 @@ class _Newton(optx.AbstractRootFinder):
             value, aux = fn(x, args)
             return value, (value, aux)
 
-        slope, (value, aux) = jax.jacfwd(both, has_aux=True)(y)
-        move = value / slope if value.ndim == 0 else solve_small(slope, value)
+        if y.ndim == 0:
+            value, slope, aux = jax.jvp(lambda x: fn(x, args), (y,), (jnp.ones_like(y),), has_aux=True)
+            move = value / slope
+        else:
+            matrix, (value, aux) = jax.jacfwd(both, has_aux=True)(y)
+            move = solve_small(matrix, value)
         if self.most_move < np.inf:
             move = jnp.clip(move, -self.most_move, self.most_move)
         new = y - move
@@ -161,19 +165,31 @@ class _NewtonInBracket(optx.AbstractRootFinder):
         return y, aux, {}
 
 
+def _every_step(cond_fun, body_fun, init_val, *, max_steps):
+    """A loop of all `max_steps`, where no lane of `vmap` is held back: that would cost more than a step of a cheap function."""
+    return jax.lax.fori_loop(0, max_steps, lambda _, carry: body_fun(carry), init_val)
+
+
+def _in_every_step(inputs):
+    *inputs, iterate, _ = inputs
+    return iterate((*inputs, _every_step))
+
+
+class _EveryStep(optx.ImplicitAdjoint):
+    """The derivatives of a root that is found in a fixed number of steps."""
+
+    def apply(self, primal_fn, rewrite_fn, inputs, tags):
+        return super().apply(_in_every_step, rewrite_fn, (*inputs, primal_fn), tags)
+
+
 def _found(function, finder, start, args, options, steps: int) -> Root:
+    every = np.isinf(finder.atol)
+    adjoint = _EveryStep if every else optx.ImplicitAdjoint
     solution = optx.root_find(
-        function,
-        finder,
-        start,
-        args,
-        options,
-        max_steps=steps,
-        adjoint=optx.ImplicitAdjoint(SmallSystem()),
-        throw=False,
+        function, finder, start, args, options, max_steps=steps, adjoint=adjoint(SmallSystem()), throw=False
     )
-    code = jnp.where(solution.result == optx.RESULTS.successful, int(Code.ok), int(Code.not_converged))
-    return Root(solution.value, solution.state.size, code)
+    good = jnp.all(jnp.isfinite(solution.value)) if every else solution.result == optx.RESULTS.successful
+    return Root(solution.value, solution.state.size, jnp.where(good, int(Code.ok), int(Code.not_converged)))
 
 
 def root_find(
@@ -182,7 +198,7 @@ def root_find(
     args: typing.Any = None,
     *,
     steps: int,
-    tolerance: float,
+    tolerance: float | None,
     most_move: float = np.inf,
     lower: typing.Any = None,
     upper: typing.Any = None,
@@ -198,14 +214,14 @@ def root_find(
         args: what `function` takes besides x.
         steps: the largest number of moves.
         tolerance: a lane stops after a move of at most this size in every unknown; the error left is of the order of its
-            square. 0 makes all moves.
+            square. None makes all moves in every lane, which costs less where the function is cheap.
         most_move: the largest move of each unknown.
         lower: lower bounds of the unknowns, where moves end.
         upper: upper bounds of the unknowns.
 
     Returns:
-        The root, the size of its last move, not shortened by the bounds, and a code: `Code.ok`, or `Code.not_converged` if the last of
-        `steps` moves was larger than the tolerance, or a value was not finite.
+        The root, the size of its last move, not shortened by the bounds, and a code: `Code.ok`, or `Code.not_converged` if the
+        last of `steps` moves was larger than the tolerance, or the root is not finite.
 
     Raises ValueError for more than three unknowns.
 
@@ -221,7 +237,14 @@ def root_find(
     if start.ndim > 1 or not 1 <= start.size <= 3:
         raise ValueError(f"`start` must be a number or hold 1, 2 or 3, but has the shape {start.shape}.")
     options = {name: bound for name, bound in (("lower", lower), ("upper", upper)) if bound is not None}
-    return _found(function, _Newton(0.0, tolerance, most_move), start, args, jax.lax.stop_gradient(options), steps)
+    return _found(
+        function,
+        _Newton(0.0, np.inf if tolerance is None else tolerance, most_move),
+        start,
+        args,
+        jax.lax.stop_gradient(options),
+        steps,
+    )
 
 
 def bracketed_root(
