@@ -265,10 +265,8 @@ def _located(surface: Surface, apex, q):
     def excess(a, q):
         return surface.breakdown_load(a) - q
 
-    def roots(function, a):
-        return jax.vmap(lambda a: root_find(function, a, q, steps=GLANCE_NEWTON, tolerance=None).value)(a)
-
-    return roots(slope, apex[0]), roots(excess, apex[1])
+    how: dict = {"steps": GLANCE_NEWTON, "tolerance": None, "elementwise": True}
+    return root_find(slope, apex[0], q, **how).value, root_find(excess, apex[1], q, **how).value
 
 
 def _pressure_volume(scene: Scene, surface: Surface, voltage: float) -> Glance:

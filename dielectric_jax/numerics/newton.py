@@ -24,11 +24,14 @@ __all__ = ["Root", "SmallSystem", "bracketed_root", "polynomial_roots", "root_fi
 
 
 class Root(eqx.Module):
-    """A root, the size of the last move towards it, and the `Code` as an integer: `ok` or `not_converged`."""
+    """A root, the size of the last move towards it, and the `Code` as an integer: `ok` or `not_converged`.
+
+    Size and code are numbers, but arrays of the shape of the root where it is found elementwise.
+    """
 
     value: Float[Array, "*unknowns"]
-    move: Float[Array, ""]
-    code: Int[Array, ""]
+    move: Float[Array, "*lanes"]
+    code: Int[Array, "*lanes"]
 
 
 def solve_small(matrix: Float[Array, "k k"], right: Float[Array, " k"]) -> Float[Array, " k"]:
@@ -92,22 +95,26 @@ class _Moved(eqx.Module):
 
 
 class _Newton(optx.AbstractRootFinder):
-    """Newton's method whose moves are at most `most_move` in each unknown; `options` may hold `lower` and `upper`."""
+    """Newton's method whose moves are at most `most_move` in each unknown; `options` may hold `lower` and `upper`.
+
+    `elementwise` the unknowns are the roots of equations of their own.
+    """
 
     rtol: float
     atol: float
     most_move: float
+    elementwise: bool
     norm: typing.ClassVar[Callable] = optx.max_norm
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags):
-        return _Moved(jnp.full((), jnp.inf, y.dtype))
+        return _Moved(jnp.full(y.shape if self.elementwise else (), jnp.inf, y.dtype))
 
     def step(self, fn, y, args, options, state, tags):
         def both(x):
             value, aux = fn(x, args)
             return value, (value, aux)
 
-        if y.ndim == 0:
+        if y.ndim == 0 or self.elementwise:
             value, slope, aux = jax.jvp(lambda x: fn(x, args), (y,), (jnp.ones_like(y),), has_aux=True)
             move = value / slope
         else:
@@ -119,10 +126,14 @@ class _Newton(optx.AbstractRootFinder):
         if options:
             new = jnp.clip(new, options.get("lower"), options.get("upper"))
         # a move beyond a bound counts whole: what a bound holds is no root
-        return new, _Moved(jnp.max(jnp.abs(move))), aux
+        size = jnp.abs(move)
+        if not self.elementwise:
+            return new, _Moved(jnp.max(size)), aux
+        # a lane that is lost stays where it is, so that the others go on; its move is not finite ever after
+        return jnp.where(jnp.isfinite(new), new, y), _Moved(size), aux
 
     def terminate(self, fn, y, args, options, state, tags):
-        return state.size <= self.atol, optx.RESULTS.successful
+        return jnp.all(state.size <= self.atol), optx.RESULTS.successful
 
     def postprocess(self, fn, y, aux, args, options, state, tags, result):
         return y, aux, {}
@@ -184,12 +195,25 @@ class _EveryStep(optx.ImplicitAdjoint):
 
 def _found(function, finder, start, args, options, steps: int) -> Root:
     every = np.isinf(finder.atol)
-    adjoint = _EveryStep if every else optx.ImplicitAdjoint
+    elementwise = isinstance(finder, _Newton) and finder.elementwise
+    linear = lx.Diagonal(well_posed=True) if elementwise else SmallSystem()
     solution = optx.root_find(
-        function, finder, start, args, options, max_steps=steps, adjoint=adjoint(SmallSystem()), throw=False
+        function,
+        finder,
+        start,
+        args,
+        options,
+        max_steps=steps,
+        adjoint=(_EveryStep if every else optx.ImplicitAdjoint)(linear),
+        tags=frozenset({lx.diagonal_tag} if elementwise else ()),
+        throw=False,
     )
-    good = jnp.all(jnp.isfinite(solution.value)) if every else solution.result == optx.RESULTS.successful
-    return Root(solution.value, solution.state.size, jnp.where(good, int(Code.ok), int(Code.not_converged)))
+    move = solution.state.size
+    if every or elementwise:
+        good = move <= (np.finfo(float).max if every else finder.atol)
+    else:
+        good = solution.result == optx.RESULTS.successful
+    return Root(solution.value, move, jnp.where(good, int(Code.ok), int(Code.not_converged)))
 
 
 def root_find(
@@ -202,6 +226,7 @@ def root_find(
     most_move: float = np.inf,
     lower: typing.Any = None,
     upper: typing.Any = None,
+    elementwise: bool = False,
 ) -> Root:
     """A root of f(x, args) = 0 near `start` by Newton's method, x ← x − f_x⁻¹ f, with the derivatives of f by autodiff.
 
@@ -218,10 +243,12 @@ def root_find(
         most_move: the largest move of each unknown.
         lower: lower bounds of the unknowns, where moves end.
         upper: upper bounds of the unknowns.
+        elementwise: whether f acts on each element of x alone, so that x may have any shape, and is as many roots. They are
+            found together, in fewer operations than by `jax.vmap`.
 
     Returns:
         The root, the size of its last move, not shortened by the bounds, and a code: `Code.ok`, or `Code.not_converged` if the
-        last of `steps` moves was larger than the tolerance, or the root is not finite.
+        last of `steps` moves was larger than the tolerance, or is not finite.
 
     Raises ValueError for more than three unknowns.
 
@@ -234,17 +261,18 @@ def root_find(
     0.353553390593
     """
     start = jnp.asarray(start, float)
-    if start.ndim > 1 or not 1 <= start.size <= 3:
+    if not elementwise and (start.ndim > 1 or not 1 <= start.size <= 3):
         raise ValueError(f"`start` must be a number or hold 1, 2 or 3, but has the shape {start.shape}.")
     options = {name: bound for name, bound in (("lower", lower), ("upper", upper)) if bound is not None}
-    return _found(
-        function,
-        _Newton(0.0, np.inf if tolerance is None else tolerance, most_move),
-        start,
-        args,
-        jax.lax.stop_gradient(options),
-        steps,
-    )
+    finder = _Newton(0.0, np.inf if tolerance is None else tolerance, most_move, elementwise)
+    options = jax.lax.stop_gradient(options)
+    if not elementwise:
+        return _found(function, finder, start, args, options, steps)
+    there = jnp.isfinite(start)
+    root = _found(function, finder, jnp.where(there, start, 0.0), args, options, steps)
+    there &= jnp.isfinite(root.move)
+    value, code = jnp.where(there, root.value, jnp.nan), jnp.where(there, root.code, int(Code.not_converged))
+    return Root(value, root.move, code)
 
 
 def bracketed_root(
