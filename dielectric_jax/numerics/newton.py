@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import lineax as lx
 import numpy as np
 import optimistix as optx
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
 from .codes import Code
@@ -72,7 +73,7 @@ class SmallSystem(lx.AbstractLinearSolver):
 
     def compute(self, state, vector, options):
         """The solution."""
-        flat, restore = jax.flatten_util.ravel_pytree(vector)
+        flat, restore = ravel_pytree(vector)
         return restore(solve_small(state, flat)), lx.RESULTS.successful, {}
 
     def transpose(self, state, options):
