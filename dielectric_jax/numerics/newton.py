@@ -136,7 +136,7 @@ class _Newton(optx.AbstractRootFinder):
     def terminate(self, fn, y, args, options, state, tags):
         return jnp.all(state.size <= self.atol), optx.RESULTS.successful
 
-    def postprocess(self, fn, y, aux, args, options, state, tags, result):
+    def postprocess(self, fn, y, aux, *rest):
         return y, aux, {}
 
 
@@ -173,7 +173,7 @@ class _NewtonInBracket(optx.AbstractRootFinder):
     def terminate(self, fn, y, args, options, state, tags):
         return state.size <= self.atol + self.rtol * jnp.abs(y), optx.RESULTS.successful
 
-    def postprocess(self, fn, y, aux, args, options, state, tags, result):
+    def postprocess(self, fn, y, aux, *rest):
         return y, aux, {}
 
 
