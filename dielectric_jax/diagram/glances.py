@@ -30,7 +30,7 @@ from ..model import (
     other_loading,
     points_table,
 )
-from ..numerics import Code, SceneError, cached_jit, run_lanes
+from ..numerics import Code, SceneError, cached_jit, root_find, run_lanes
 from ..plot import plot_diagram
 from ..surface import ById, Rows, Surface, rows_of
 from .ramps import LOAD
@@ -257,19 +257,14 @@ def _on_surface(surface: Surface, apex, q):
 def _located(surface: Surface, apex, q):
     """From λa near the extremes of p at q, and near breakdown: those λa by Newton's method, of one shape each."""
 
-    def slope(a):
+    def slope(a, q):
         return jax.jvp(lambda x: surface(x, q).pressure, (a,), (jnp.ones_like(a),))[1]
 
-    def excess(a):
+    def excess(a, q):
         return surface.breakdown_load(a) - q
 
-    def newton(function, a):
-        for _ in range(GLANCE_NEWTON):
-            value, rate = jax.jvp(function, (a,), (jnp.ones_like(a),))
-            a = a - value / rate
-        return a
-
-    return newton(slope, apex[0]), newton(excess, apex[1])
+    how: dict = {"steps": GLANCE_NEWTON, "tolerance": None, "elementwise": True}
+    return root_find(slope, apex[0], q, **how).value, root_find(excess, apex[1], q, **how).value
 
 
 def _pressure_volume(scene: Scene, surface: Surface, voltage: float) -> Glance:

@@ -118,6 +118,7 @@ TURNING = 0.2  # of the rise before: a contour that leaves the window more slowl
 # Diagrams and ramps on a surface. Errors are checked by benchmarks.acceptance.surface_error and one_answer, sizes
 # measured by benchmarks.speed.sweep_throughput.
 SURFACE_NEWTON = 8  # steps of Newton on the surface
+SURFACE_MOVE = 0.3  # largest of them, in λa and t
 SURFACE_CONVERGED = 1e-9  # size of the last move, in λa and t
 CONTOUR_GRID = (320, 176)  # stretches and loads on which contours are drawn
 CONTOUR_VERTICES = 200  # of a contour, at most
@@ -133,6 +134,9 @@ MOST_ROW_ERROR = 1e-4  # between rows, of a ramp that is decided or corrected
 AMBIGUOUS_ON_ROWS = 1e-8  # of the breakdown load: a snap or landing nearer to it is not decided
 SOON = 20  # rows within which a rising branch may be back at a load
 STENCIL = 14  # rows that a polynomial runs through; the error is what all but the outer two would change
+EVENT_NEWTON = 6  # steps of Newton on that polynomial towards an event
+BEND_NEWTON = 8  # steps of Newton on it towards the least slope between two rows
+CLOSE_NEWTON = 2  # steps of Newton on the surface from an event between rows, which is right to MOST_ROW_ERROR
 DIPS = 3  # of a slope between rows in which a fold may hide, at most
 ALIKE_FOLDS = 1e-6  # two folds whose loads differ by less than this share are not told apart
 STRETCH_WEIGHT = 0.2  # of the relative error of λa − λ0 at a fold beside that of its load

@@ -13,9 +13,21 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..model import ClosingEquation, largest_load
+from ..numerics import root_find
 from ..surface import ROWS, Conditions, Rows, Surface
 from .ramps import LISTED
-from .resolution import ALIKE_FOLDS, DIPS, MERGING_FOLDS, NEARLY_BROKEN, STENCIL, STILL, STRETCH_WEIGHT
+from .resolution import (
+    ALIKE_FOLDS,
+    BEND_NEWTON,
+    CLOSE_NEWTON,
+    DIPS,
+    EVENT_NEWTON,
+    MERGING_FOLDS,
+    NEARLY_BROKEN,
+    STENCIL,
+    STILL,
+    STRETCH_WEIGHT,
+)
 
 __all__ = [
     "ContourOnRows",
@@ -99,23 +111,17 @@ class ContourOnRows(eqx.Module):
         def broken(x):
             return self.rows.surface.breakdown_load(self.rows.apex_at(place_of(x))) / scale
 
-        def function(coefficients, x):
-            value, slope, bend = _horner(coefficients, x)
-            limit, limit_slope = jax.jvp(broken, (x,), (jnp.ones_like(x),))
-            limit = jnp.where(kind == ClosingEquation.breakdown, limit, target / scale)
-            limit_slope = jnp.where(kind == ClosingEquation.breakdown, limit_slope, 0.0)
-            return jnp.where(fold, slope, value - limit), jnp.where(fold, bend, slope - limit_slope)
-
-        def newton(_, x):
-            value, slope = function(q_all, x)
-            return jnp.clip(x - value / slope, -1.0, 1.0)
+        def function(x, coefficients):
+            value, slope, _ = _horner(coefficients, x)
+            limit = jnp.where(kind == ClosingEquation.breakdown, broken(x), target / scale)
+            return jnp.where(fold, slope, value - limit)
 
         begin = (row + jnp.where(fold, 0.0, 0.5) - place_of(0.0)) / (STENCIL / 2)
-        x = jax.lax.fori_loop(0, 6, newton, begin)
-        value, slope = function(q_all, x)
+        x = root_find(function, begin, q_all, steps=EVENT_NEWTON, tolerance=None, lower=-1.0, upper=1.0).value
+        value, slope = jax.jvp(lambda x: function(x, q_all), (x,), (jnp.ones_like(x),))
         (q, q_slope, _), (v, v_slope, _) = _horner(q_all, x), _horner(v_all, x)
         # what two rows less would change, of the place and at it
-        shift = jnp.abs((function(q_less, x)[0] - value) / slope) + jnp.abs(value / slope)
+        shift = jnp.abs((function(x, q_less) - value) / slope) + jnp.abs(value / slope)
         q_error = jnp.abs(_horner(q_less, x)[0] - q) + jnp.where(
             kind == ClosingEquation.breakdown, jnp.abs(q_slope) * shift, 0.0
         )
@@ -138,11 +144,12 @@ class ContourOnRows(eqx.Module):
         middle = (row + 0.5 - place_of(0.0)) / (STENCIL / 2)
         reach = 1.5 / (STENCIL / 2)
 
-        def newton(_, x):
-            _, bend, more = _horner(slope, x)
-            return jnp.clip(x - bend / more, middle - reach, middle + reach)
+        def bend(x, _):
+            return _horner(slope, x)[1]
 
-        least = _horner(slope, jax.lax.fori_loop(0, 8, newton, middle))[0]
+        bounds = {"lower": middle - reach, "upper": middle + reach}
+        x = root_find(bend, middle, steps=BEND_NEWTON, tolerance=None, **bounds).value
+        least = _horner(slope, x)[0]
         # against the way from row to row: at the middle the slope may have turned already
         return ~(least * (self.load[row + 1] - self.load[row]) > 0) | ~(jnp.abs(least) > STILL)
 
@@ -273,7 +280,7 @@ def event_on_surface(surface: Surface, condition: Conditions, kind, target, apex
         p, v = surface.at_load_fraction(x[0], x[1], ("pressure", "volume"))
         return jnp.stack([p, v, x[1] * largest_load(material, x[0])])
 
-    def equations(x):
+    def equations(x, _):
         p, v, q = state(x)
         by_p, by_v, by_q = jax.jacfwd(state)(x)
         inside, outside = condition.weight * v + condition.chamber_volume, condition.atmospheric_pressure
@@ -289,14 +296,8 @@ def event_on_surface(surface: Surface, condition: Conditions, kind, target, apex
         )
         return jnp.stack([gas, last])
 
-    def newton(_, known):
-        x, _ = known
-        (a, b), (c, d) = jax.jacfwd(equations)(x)
-        f, g = equations(x)
-        move = -jnp.stack([d * f - b * g, a * g - c * f]) / (a * d - b * c)
-        return x + move, jnp.max(jnp.abs(move))
-
     start = jnp.stack([apex, load / largest_load(material, apex)])
-    x, size = jax.lax.fori_loop(0, 2, newton, (start, jnp.asarray(jnp.inf)))
+    root = root_find(equations, start, steps=CLOSE_NEWTON, tolerance=None)
+    x = root.value
     p, v, q = state(x)
-    return jnp.stack([x[0], p, q, v]), jnp.where(jnp.abs(x[0] - apex) < 0.1, size, jnp.inf)
+    return jnp.stack([x[0], p, q, v]), jnp.where(jnp.abs(x[0] - apex) < 0.1, root.move, jnp.inf)

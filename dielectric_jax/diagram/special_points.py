@@ -10,9 +10,9 @@ import concurrent.futures
 import dataclasses
 
 import numpy as np
-from scipy.optimize import root_scalar
 
 from ..model import SCALE, PointKind, Points
+from ..numerics import polynomial_roots
 from .mesh import Curve, between, hermite, scaled, solve_between
 from .resolution import ROOT_CLOSE, ROOT_EXACT, ROOT_ROUNDS, ROOT_SMALL
 from .surface_contours import OnSurface
@@ -153,14 +153,12 @@ def _locate(solver, curves, wanted, tolerance, near: dict):
 
 
 def _hermite_roots(x0, x1, t0, t1, gap, target) -> np.ndarray:
-    """Share of each interval at which the cubic Hermite interpolant takes the target between its ends; by bisection."""
-    low, high = np.zeros_like(x0), np.ones_like(x0)
-    sign = np.where(x0 < target, 1.0, -1.0)
-    for _ in range(40):
-        middle = (low + high) / 2
-        below = (hermite(x0, x1, t0, t1, gap, middle) - target) * sign < 0
-        low, high = np.where(below, middle, low), np.where(below, high, middle)
-    return (low + high) / 2
+    """Share of each interval at which the cubic Hermite interpolant takes the target between its ends."""
+    rise, begin, end = x1 - x0, gap * t0, gap * t1
+    cubic = np.stack([x0 - target, begin, 3 * rise - 2 * begin - end, begin + end - 2 * rise], axis=-1)
+    share = polynomial_roots(cubic, 0.0, 1.0)
+    nearer = np.where(np.abs(x0 - target) < np.abs(x1 - target), 0.0, 1.0)
+    return np.where(np.isnan(share), nearer, share)  # an end that is the target but for rounding
 
 
 def _predict(curve: Curve, kind: PointKind, interval: int, target: float):
@@ -184,11 +182,10 @@ def _predict(curve: Curve, kind: PointKind, interval: int, target: float):
         return np.polynomial.Polynomial(np.linalg.solve(matrix, values[first - start : first - start + 4]))
 
     def root(poly):
-        low, high = 0.0, 1.0
-        for _ in range(50):
-            middle = (low + high) / 2
-            low, high = (middle, high) if (poly(middle) < 0) == (f0 < 0) else (low, middle)
-        return low, poly.deriv()(low)
+        place = float(polynomial_roots(poly.coef, 0.0, 1.0))
+        if np.isnan(place):  # one sign at both ends: beyond one of them
+            place = 1.0 if (poly(0.5) < 0) == (f0 < 0) else 0.0
+        return place, poly.deriv()(place)
 
     centred, sided = cubic(interval - 1), cubic(interval + 1 if f1 < 0 else interval - 3)
     if sided is not None:
@@ -223,7 +220,9 @@ def _fold_share(curve: Curve, kind: PointKind, interval: int) -> tuple[float, fl
     if not slope(s[i]) * slope(s[i + 1]) < 0:
         return None
     chord = x[i + 1, :3] - x[i, :3]
-    root = root_scalar(slope, bracket=(s[i], s[i + 1]), xtol=1e-13).root
+    root = float(polynomial_roots(slope.coef, s[i], s[i + 1]))
+    if np.isnan(root):
+        return None
     at, rate = (np.array([f(root) for f in lines[:3]]) for lines in (line, [f.deriv() for f in line]))
     per_share = (chord @ chord) / (rate @ chord)
     return float((at - x[i, :3]) @ chord / (chord @ chord)), float(

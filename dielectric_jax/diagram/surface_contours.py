@@ -32,9 +32,17 @@ from ..model import (
     locking_stretch,
     value_program,
 )
-from ..numerics import Code, cached_jit, run_lanes
+from ..numerics import Code, cached_jit, root_find, run_lanes
 from ..surface import ById, Surface, pressure_and_volume
-from .resolution import AT_EDGE, CONTOUR_GRID, CONTOUR_VERTICES, SAME_ON_SURFACE, SURFACE_CONVERGED, SURFACE_NEWTON
+from .resolution import (
+    AT_EDGE,
+    CONTOUR_GRID,
+    CONTOUR_VERTICES,
+    SAME_ON_SURFACE,
+    SURFACE_CONVERGED,
+    SURFACE_MOVE,
+    SURFACE_NEWTON,
+)
 
 __all__ = ["OnSurface", "margins", "surface_branches"]
 
@@ -58,21 +66,14 @@ def _meet_program(surface: Surface, condition: LoadingCondition, lanes):
             p, v = surface.at_load_fraction(x[0], x[1], ("pressure", "volume"))
             return jnp.stack([x[0], p, x[1] * largest_load(material, x[0]), v])
 
-        def equations(x):
+        def equations(x, _):
             a, p, q, v = state(x)
             last = jnp.where(by_volume, v, row @ jnp.stack([a, p, q])) - target
             return jnp.stack([condition.residual(p, v, q), last])
 
-        def step(_, known):
-            x, _ = known
-            (a, b), (c, d) = jax.jacfwd(equations)(x)
-            f, g = equations(x)
-            move = -jnp.stack([d * f - b * g, a * g - c * f]) / (a * d - b * c)
-            move = jnp.clip(move, -0.3, 0.3)
-            return x + move, jnp.max(jnp.abs(move))
-
         start = jnp.stack([lane[0], lane[2] / largest_load(material, lane[0])])
-        x, size = jax.lax.fori_loop(0, SURFACE_NEWTON, step, (start, jnp.asarray(jnp.inf)))
+        root = root_find(equations, start, steps=SURFACE_NEWTON, tolerance=0.0, most_move=SURFACE_MOVE)
+        x = root.value
         a, p, q, v = state(x)
         z, c = surface.at_load_fraction(x[0], x[1], ("height", "charge_per_voltage"))
         slopes = jax.jacfwd(state)(x)  # of (λa, p, q, V) by (λa, t)
@@ -88,7 +89,7 @@ def _meet_program(surface: Surface, condition: LoadingCondition, lanes):
         moved = jnp.abs(slopes[1:, 1]) * shift / jnp.stack([size_p, size_q, size_v])
         error = jnp.max(moved + bound * jnp.array([1.0, 0.0, 1.0]))
         field = field_ratio_squared(surface.membrane.breakdown, a, a)
-        return jnp.concatenate([jnp.stack([a, p, q, v, z, c]), tangent, jnp.stack([error, field, size])])
+        return jnp.concatenate([jnp.stack([a, p, q, v, z, c]), tangent, jnp.stack([error, field, root.move])])
 
     return jax.vmap(one, in_axes=1, out_axes=1)(lanes)
 

@@ -22,11 +22,12 @@ from ..model import (
     Outcome,
     locking_stretch,
 )
-from ..numerics import cached_jit, check_positive, run_lanes
+from ..numerics import cached_jit, check_positive, root_find, run_lanes
 from ..surface import ROWS, ById, Conditions, Rows, Surface, crossings, rows_of
 from .landings import Landing, folds_ahead, landings
 from .ramps import APEX, ERROR, LOAD, PRESSURE, RampArrays, Ramps, Slot, ramps_of
 from .resolution import (
+    CLOSE_NEWTON,
     CORRECTED_FROM,
     CORRECTED_TOGETHER,
     FEW_LOADINGS,
@@ -72,18 +73,16 @@ def _start(rows: Rows, values, others, target, order: int):
     near = (here >= before) & (here >= after) & (here + 1.5 * over + FLAT_MAXIMUM * jnp.abs(here) >= target)
     present = any_ & (reached > 0) & ~jnp.any(near & (jnp.arange(1, ROWS - 1) < reached))
     whole = ContourOnRows(rows, values, others, jnp.asarray(0), jnp.asarray(ROWS - 1))
-    place, _, other, _ = whole.correct(jnp.maximum(reached - 1, 0), ClosingEquation.level, target)
+    place, *_ = whole.correct(jnp.maximum(reached - 1, 0), ClosingEquation.level, target)
 
-    def on_surface(apex):
-        return jnp.stack(rows.surface.at_load_fraction(apex, 0.0, ("volume", "pressure")[::order]))
+    wanted, rest = ("volume", "pressure")[::order]
 
-    def newton(_, known):
-        apex, _, _ = known
-        value, slope = jax.jvp(on_surface, (apex,), (jnp.ones_like(apex),))
-        move = (target - value[0]) / slope[0]
-        return apex + move, value[1] + slope[1] * move, jnp.abs(move)
+    def on_surface(apex, name):
+        return rows.surface.at_load_fraction(apex, 0.0, (name,))[0]
 
-    apex, other, size = jax.lax.fori_loop(0, 2, newton, (rows.apex_at(place), other, jnp.inf))
+    begin = rows.apex_at(place)
+    root = root_find(lambda x, _: on_surface(x, wanted) - target, begin, steps=CLOSE_NEWTON, tolerance=None)
+    apex, other, size = root.value, on_surface(root.value, rest), root.move
     place = jnp.where(present & (size < 1e-5), rows.place_of(apex), jnp.inf)
     return Events(place, target, other, jnp.where(size < 1e-7, 0.0, size))
 

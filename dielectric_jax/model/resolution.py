@@ -53,6 +53,8 @@ FEW_RATES = 6
 CHUNK = 32
 # steps of a trail that are searched together for extremes; only as many blocks as there are steps
 TRAIL_BLOCK = 32
+# steps of Newton on the quintic between steps, from the node, towards an extreme whose place one step of the solver corrects
+LEAST_NEWTON = 5
 # kinds of membranes whose compiling ahead is remembered
 MOST_KINDS = 16
 

@@ -5,6 +5,7 @@ from .continuation import Problem, Steps, Trace, Walk, advance, begin, shorter, 
 from .elementary import log1p, reciprocal, sine_cosine, softplus
 from .lanes import calls_of, cores, lanes_of_a_call, run_lanes, threads
 from .locks import Locked, alone
+from .newton import Root, SmallSystem, bracketed_root, polynomial_roots, root_find, solve_small
 from .resolution import LARGEST
 
 __all__ = [
@@ -12,7 +13,9 @@ __all__ = [
     "Code",
     "Locked",
     "Problem",
+    "Root",
     "SceneError",
+    "SmallSystem",
     "Steps",
     "StoreError",
     "Trace",
@@ -21,6 +24,7 @@ __all__ = [
     "advance",
     "alone",
     "begin",
+    "bracketed_root",
     "cache_folder",
     "cached_jit",
     "calls_of",
@@ -36,14 +40,17 @@ __all__ = [
     "log1p",
     "make_folder",
     "of_this_package",
+    "polynomial_roots",
     "reciprocal",
+    "root_find",
     "run_lanes",
     "shorter",
     "shown",
     "sine_cosine",
     "softplus",
+    "solve_small",
     "source_digest",
-    "threads",
     "stepped",
+    "threads",
     "trace",
 ]

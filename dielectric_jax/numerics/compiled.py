@@ -61,7 +61,7 @@ def _versions() -> bytes:
     """What a traced program depends on besides its arguments: the package's source, and what it is traced with."""
     digest = hashlib.sha256(jax.default_backend().encode())
     digest.update(source_digest().encode())
-    for name in ("jax", "jaxlib", "equinox", "diffrax"):
+    for name in ("jax", "jaxlib", "equinox", "diffrax", "optimistix", "lineax"):
         digest.update(f"{name} {importlib.metadata.version(name)}".encode())
     return digest.digest()
 
