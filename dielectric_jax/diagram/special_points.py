@@ -10,9 +10,9 @@ import concurrent.futures
 import dataclasses
 
 import numpy as np
+from scipy.optimize import brentq
 
 from ..model import SCALE, PointKind, Points
-from ..numerics import polynomial_roots
 from .mesh import Curve, between, hermite, scaled, solve_between
 from .resolution import ROOT_CLOSE, ROOT_EXACT, ROOT_ROUNDS, ROOT_SMALL
 from .surface_contours import OnSurface
@@ -152,13 +152,21 @@ def _locate(solver, curves, wanted, tolerance, near: dict):
     return found | roots | more, missed + lost
 
 
+def _root_between(function, low: float = 0.0, high: float = 1.0) -> float | None:
+    """The root of a scalar function between two places by Brent's method; None where it has one sign at both."""
+    first, last = float(function(low)), float(function(high))
+    return float(brentq(function, low, high, xtol=1e-15)) if first * last <= 0 else None
+
+
 def _hermite_roots(x0, x1, t0, t1, gap, target) -> np.ndarray:
     """Share of each interval at which the cubic Hermite interpolant takes the target between its ends."""
-    rise, begin, end = x1 - x0, gap * t0, gap * t1
-    cubic = np.stack([x0 - target, begin, 3 * rise - 2 * begin - end, begin + end - 2 * rise], axis=-1)
-    share = polynomial_roots(cubic, 0.0, 1.0)
-    nearer = np.where(np.abs(x0 - target) < np.abs(x1 - target), 0.0, 1.0)
-    return np.where(np.isnan(share), nearer, share)  # an end that is the target but for rounding
+
+    def share(a, b, *slopes):
+        found = _root_between(lambda s: hermite(a, b, *slopes, s) - target)
+        # an end that is the target but for rounding
+        return (0.0 if abs(a - target) < abs(b - target) else 1.0) if found is None else found
+
+    return np.array([share(*own) for own in np.broadcast(x0, x1, t0, t1, gap)])
 
 
 def _predict(curve: Curve, kind: PointKind, interval: int, target: float):
@@ -182,8 +190,8 @@ def _predict(curve: Curve, kind: PointKind, interval: int, target: float):
         return np.polynomial.Polynomial(np.linalg.solve(matrix, values[first - start : first - start + 4]))
 
     def root(poly):
-        place = float(polynomial_roots(poly.coef, 0.0, 1.0))
-        if np.isnan(place):  # one sign at both ends: beyond one of them
+        place = _root_between(poly)
+        if place is None:  # one sign at both ends: beyond one of them
             place = 1.0 if (poly(0.5) < 0) == (f0 < 0) else 0.0
         return place, poly.deriv()(place)
 
@@ -220,8 +228,8 @@ def _fold_share(curve: Curve, kind: PointKind, interval: int) -> tuple[float, fl
     if not slope(s[i]) * slope(s[i + 1]) < 0:
         return None
     chord = x[i + 1, :3] - x[i, :3]
-    root = float(polynomial_roots(slope.coef, s[i], s[i + 1]))
-    if np.isnan(root):
+    root = _root_between(slope, s[i], s[i + 1])
+    if root is None:
         return None
     at, rate = (np.array([f(root) for f in lines[:3]]) for lines in (line, [f.deriv() for f in line]))
     per_share = (chord @ chord) / (rate @ chord)

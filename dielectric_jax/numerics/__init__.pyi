@@ -5,7 +5,7 @@ from .continuation import Problem, Steps, Trace, Walk, advance, begin, shorter, 
 from .elementary import log1p, reciprocal, sine_cosine, softplus
 from .lanes import calls_of, cores, lanes_of_a_call, run_lanes, threads
 from .locks import Locked, alone
-from .newton import Root, SmallSystem, bracketed_root, polynomial_roots, root_find, solve_small
+from .newton import Root, SmallSystem, root_find, solve_small
 from .resolution import LARGEST
 
 __all__ = [
@@ -24,7 +24,6 @@ __all__ = [
     "advance",
     "alone",
     "begin",
-    "bracketed_root",
     "cache_folder",
     "cached_jit",
     "calls_of",
@@ -40,7 +39,6 @@ __all__ = [
     "log1p",
     "make_folder",
     "of_this_package",
-    "polynomial_roots",
     "reciprocal",
     "root_find",
     "run_lanes",

@@ -1,6 +1,6 @@
-"""Roots of one, two or three equations, one root a lane of `vmap`: Newton's method with bounds, and roots in brackets.
+"""Roots of one, two or three equations, one root a lane of `vmap`: Newton's method with bounds.
 
-Both are root finders of optimistix, so that roots are differentiated by the implicit function theorem: of f(x, θ) = 0,
+It is a root finder of optimistix, so that roots are differentiated by the implicit function theorem: of f(x, θ) = 0,
 dx/dθ = −f_x⁻¹ f_θ. The linear systems are solved in closed form, since an LU decomposition in every lane costs more than the
 equations. Lanes neither raise nor wait for the host: `Root.code` says whether a lane converged.
 """
@@ -18,10 +18,8 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
 from .codes import Code
-from .compiled import cached_jit
-from .resolution import LANES, MOST_DEGREE, ROOT_ROUNDING, ROOT_STEPS
 
-__all__ = ["Root", "SmallSystem", "bracketed_root", "polynomial_roots", "root_find", "solve_small"]
+__all__ = ["Root", "SmallSystem", "root_find", "solve_small"]
 
 
 class Root(eqx.Module):
@@ -140,43 +138,6 @@ class _Newton(optx.AbstractRootFinder):
         return y, aux, {}
 
 
-class _Bracket(eqx.Module):
-    """The ends of a bracket, the sign of the function at `low`, and the size of the last move."""
-
-    low: Array
-    high: Array
-    below: Array
-    size: Array
-
-
-class _NewtonInBracket(optx.AbstractRootFinder):
-    """Newton's method that halves the bracket (`low` and `high` in `options`) where a move leaves it or is not the half of the last."""
-
-    rtol: float
-    atol: float
-    norm: typing.ClassVar[Callable] = optx.max_norm
-
-    def init(self, fn, y, args, options, f_struct, aux_struct, tags):
-        low, high = options["low"], options["high"]
-        return _Bracket(low, high, options["below"], jnp.abs(high - low))
-
-    def step(self, fn, y, args, options, state, tags):
-        value, slope, aux = jax.jvp(lambda x: fn(x, args), (y,), (jnp.ones_like(y),), has_aux=True)
-        same = (value < 0) == state.below
-        low, high = jnp.where(same, y, state.low), jnp.where(same, state.high, y)
-        move = value / slope
-        held = (jnp.minimum(low, high) <= y - move) & (y - move <= jnp.maximum(low, high))
-        fair = (held & (jnp.abs(move) <= state.size / 2)) | (value == 0)
-        new = jnp.where(value == 0, y, jnp.where(fair, y - move, (low + high) / 2))
-        return new, _Bracket(low, high, state.below, jnp.abs(new - y)), aux
-
-    def terminate(self, fn, y, args, options, state, tags):
-        return state.size <= self.atol + self.rtol * jnp.abs(y), optx.RESULTS.successful
-
-    def postprocess(self, fn, y, aux, *rest):
-        return y, aux, {}
-
-
 def _every_step(cond_fun, body_fun, init_val, *, max_steps):
     """A loop of all `max_steps`, where no lane of `vmap` is held back: that would cost more than a step of a cheap function."""
     return jax.lax.fori_loop(0, max_steps, lambda _, carry: body_fun(carry), init_val)
@@ -195,8 +156,7 @@ class _EveryStep(optx.ImplicitAdjoint):
 
 
 def _found(function, finder, start, args, options, steps: int) -> Root:
-    every = np.isinf(finder.atol)
-    elementwise = isinstance(finder, _Newton) and finder.elementwise
+    every, elementwise = np.isinf(finder.atol), finder.elementwise
     linear = lx.Diagonal(well_posed=True) if elementwise else SmallSystem()
     solution = optx.root_find(
         function,
@@ -274,82 +234,3 @@ def root_find(
     there &= jnp.isfinite(root.move)
     value, code = jnp.where(there, root.value, jnp.nan), jnp.where(there, root.code, int(Code.not_converged))
     return Root(value, root.move, code)
-
-
-def bracketed_root(
-    function: Callable,
-    low,
-    high,
-    args: typing.Any = None,
-    *,
-    steps: int = ROOT_STEPS,
-    tolerance: float = 0.0,
-) -> Root:
-    """The root of a scalar f(x, args) = 0 between `low` and `high`, where f has different signs.
-
-    By Newton's method, which halves the bracket wherever its move would leave it, or is more than half of the move before.
-    For one lane; derivatives as of `root_find`.
-
-    Args:
-        function: f(x, args), scalar and differentiable.
-        low: one end of the bracket.
-        high: the other, which may be the lower one.
-        args: what `function` takes besides x.
-        steps: the largest number of moves.
-        tolerance: a lane stops after a move of at most this size, or of a few units in the last place.
-
-    Returns:
-        The root, the size of its last move, and a code: `Code.not_converged`, with the root NaN, where f has one sign at both
-        ends or is not finite there, or where `steps` moves were not enough.
-
-    >>> import jax; jax.config.update("jax_enable_x64", True)
-    >>> root = bracketed_root(lambda x, _: jnp.cos(x) - x, 0.0, 1.0)
-    >>> round(float(root.value), 12), int(root.code) == Code.ok
-    (0.739085133215, True)
-    """
-    low, high = jax.lax.stop_gradient((jnp.asarray(low, float), jnp.asarray(high, float)))
-    first, last = (jax.lax.stop_gradient(function(x, args)) for x in (low, high))
-    opposite = (jnp.sign(first) * jnp.sign(last) <= 0) & jnp.isfinite(first) & jnp.isfinite(last)
-    start = jnp.where(first == 0, low, jnp.where(last == 0, high, low - first * (high - low) / (last - first)))
-    start = jnp.where(opposite, start, jnp.nan)
-    options = {"low": low, "high": high, "below": jnp.where(first == 0, last > 0, first < 0)}
-    root = _found(function, _NewtonInBracket(ROOT_ROUNDING, tolerance), start, args, options, steps)
-    return Root(jnp.where(root.code == int(Code.ok), root.value, jnp.nan), root.move, root.code)
-
-
-@cached_jit
-def _polynomial_program(coefficients, low, high):
-    def value(x, own):
-        total = own[-1]
-        for k in range(len(own) - 2, -1, -1):
-            total = total * x + own[k]
-        return total
-
-    return jax.vmap(lambda own, a, b: bracketed_root(value, a, b, own).value)(coefficients, low, high)
-
-
-def polynomial_roots(coefficients, low, high) -> np.ndarray:
-    """A root between `low` and `high` (…,) of polynomials with `coefficients` (…, n), that of x⁰ first; NaN where there is none.
-
-    For values that are known outside of programs: one compiled program serves all degrees and any number of polynomials.
-    Raises ValueError for more coefficients than the program takes.
-
-    >>> polynomial_roots([-2.0, 0.0, 1.0], 0.0, [2.0, 1.0]).round(12).tolist()
-    [1.414213562373, nan]
-    """
-    given = np.asarray(coefficients, float)
-    if given.shape[-1] > MOST_DEGREE + 1:
-        raise ValueError(f"`coefficients` must hold at most {MOST_DEGREE + 1}, but holds {given.shape[-1]}.")
-    shape = np.broadcast_shapes(given.shape[:-1], np.shape(low), np.shape(high))
-    ends = [np.broadcast_to(np.asarray(v, float), shape).ravel() for v in (low, high)]
-    given = np.broadcast_to(given, (*shape, given.shape[-1])).reshape(-1, given.shape[-1])
-    count = len(given)
-    lanes = 8 if count <= 8 else LANES
-    packed = np.zeros((MOST_DEGREE + 3, count + -count % lanes))  # lanes beyond have the root 0 of the polynomial 0
-    packed[: given.shape[1], :count] = given.T
-    packed[-2:, :count] = ends
-    parts = [
-        _polynomial_program(part[:-2].T, *part[-2:])
-        for part in np.split(packed, range(lanes, packed.shape[1], lanes), axis=1)
-    ]
-    return np.concatenate([np.asarray(v) for v in parts] or [np.zeros(0)])[:count].reshape(shape)

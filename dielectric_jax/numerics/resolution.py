@@ -22,10 +22,3 @@ NEWTON_TRIES = 6
 FIRST_TRIES = 20
 # largest growth and least shrinkage of an accepted step
 LEAST_GROWTH, MOST_GROWTH = 0.5, 2.0
-
-# moves towards a root in a bracket at most: 5 to 8 where Newton's method converges, two for each bit where it never does
-ROOT_STEPS = 128
-# units of rounding at which a root in a bracket is found: two units in the last place
-ROOT_ROUNDING = 4.5e-16
-# largest degree of a polynomial whose root is asked for: that through the ten points about a fold
-MOST_DEGREE = 9

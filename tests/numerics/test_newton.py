@@ -1,4 +1,4 @@
-"""Roots of small systems and in brackets, against roots in closed form and their derivatives."""
+"""Roots of small systems, against roots in closed form and their derivatives."""
 
 import jax
 import jax.numpy as jnp
@@ -6,7 +6,7 @@ import lineax as lx
 import numpy as np
 import pytest
 
-from dielectric_jax.numerics import Code, SmallSystem, bracketed_root, polynomial_roots, root_find, solve_small
+from dielectric_jax.numerics import Code, SmallSystem, root_find, solve_small
 
 ULP = np.finfo(float).eps
 
@@ -151,52 +151,3 @@ def test_elementwise_roots_and_their_derivatives(tolerance):
     )
     assert start[0].value.tolist() == [2.0, 3.0]
     assert start[1].code.tolist() == [int(Code.ok), int(Code.not_converged)] and np.isnan(start[1].value[1])
-
-
-def test_a_bracket_holds_newton():
-    # atan leaves Newton's method from beyond 1.39; x⁹ has a root of ninth order, where Newton's moves shrink by a ninth
-    for function, root in ((lambda x, _: jnp.arctan(x - 1.0), 1.0), (lambda x, _: (x - 1.0) ** 9, 1.0)):
-        for ends in ((-30.0, 20.0), (20.0, -30.0)):
-            found = bracketed_root(function, *ends)
-            assert found.code == int(Code.ok) and abs(found.value - root) < 1e-14
-    assert bracketed_root(lambda x, _: x, 0.0, 1.0).value == 0.0
-    assert bracketed_root(lambda x, _: x - 1.0, 0.0, 1.0).value == 1.0
-
-
-def test_brackets_in_256_lanes_and_their_derivatives():
-    a = jnp.linspace(0.1, 20.0, 256)  # x eˣ = a; x' = x/(a (1 + x))
-    found = jax.vmap(lambda a: bracketed_root(lambda x, a: x * jnp.exp(x) - a, 0.0, 4.0, a))(a)
-    assert (found.code == int(Code.ok)).all()
-    assert np.abs(found.value * np.exp(found.value) / a - 1).max() < 2e-15
-    slope = jax.vmap(jax.grad(lambda a: bracketed_root(lambda x, a: x * jnp.exp(x) - a, 0.0, 4.0, a).value))(a)
-    assert np.allclose(slope, found.value / (a * (1 + found.value)), rtol=1e-14)
-
-
-def test_a_bracket_without_a_root_is_reported():
-    for function in (lambda x, _: x * x + 1.0, lambda x, _: x * jnp.nan):
-        found = bracketed_root(function, -1.0, 1.0)
-        assert np.isnan(found.value) and found.code == int(Code.not_converged)
-
-
-@pytest.mark.parametrize("shape", [(), (3,), (700,), (0,), (2, 5)])
-def test_roots_of_polynomials(shape):
-    rng = np.random.default_rng(3)
-    root, one, other = rng.uniform(-1, 1, shape), rng.uniform(1.5, 3.0, shape), rng.uniform(-3.0, -1.5, shape)
-    # (x − root)(x − one)(x − other)
-    coefficients = np.stack(
-        [
-            -root * one * other,
-            root * one + one * other + other * root,
-            -(root + one + other),
-            np.ones(shape),
-        ],
-        axis=-1,
-    )
-    found = polynomial_roots(coefficients, -1.0, 1.0)
-    assert found.shape == shape
-    assert np.abs(found - root).max(initial=0.0) < 2e-14
-
-
-def test_polynomials_of_too_high_a_degree_are_refused():
-    with pytest.raises(ValueError, match="must hold at most 10, but holds 11"):
-        polynomial_roots(np.ones(11), 0.0, 1.0)
