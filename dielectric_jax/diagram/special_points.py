@@ -161,12 +161,12 @@ def _root_between(function, low: float = 0.0, high: float = 1.0) -> float | None
 def _hermite_roots(x0, x1, t0, t1, gap, target) -> np.ndarray:
     """Share of each interval at which the cubic Hermite interpolant takes the target between its ends."""
 
-    def share(a, b, *slopes):
-        found = _root_between(lambda s: hermite(a, b, *slopes, s) - target)
-        # an end that is the target but for rounding
-        return (0.0 if abs(a - target) < abs(b - target) else 1.0) if found is None else found
+    def share(level, a, b, *slopes):
+        found = _root_between(lambda s: hermite(a, b, *slopes, s) - level)
+        # an end that is the level but for rounding
+        return (0.0 if abs(a - level) < abs(b - level) else 1.0) if found is None else found
 
-    return np.array([share(*own) for own in np.broadcast(x0, x1, t0, t1, gap)])
+    return np.array([share(*own) for own in np.broadcast(target, x0, x1, t0, t1, gap)])
 
 
 def _predict(curve: Curve, kind: PointKind, interval: int, target: float):
