@@ -186,7 +186,7 @@ def _settled(kind: PointKind, last: Solution, held: Conditions, steps: float) ->
         if not size < 0.5:
             return None
         if size < 1e-8:
-            apex, pressure, load, volume = (jnp.asarray(float(v)) for v in (*u, value[-1]))
+            apex, pressure, load, volume = (jnp.asarray(float(v)) for v in (*u, value[-1] + by_u[-1] @ move))
             return Solution(apex, pressure, load, volume)
     return None
 
@@ -222,15 +222,15 @@ class System:
         return self.value(w) * math.log(high / low) if self.logarithmic else high - low
 
     def linear(self, z: np.ndarray, steps: float):
-        """F (3,), its Jacobian (3, 4) by z, with rows scaled, and V."""
+        """F (3,), its Jacobian (3, 4) by z, with rows scaled, and V with its slopes (4,)."""
         theta, moving, rates = self.conditions.at(self.value(z[3]), steps)
         self.membrane = theta.membrane
         value, by_u, by_theta = linearised(self.kind, moving, ShotRim(np.asarray(steps)), z[:3] * SCALE, theta)
         value, by_u, by_theta = (np.asarray(v) for v in (value, by_u, by_theta))
         along = by_theta @ rates * self.rate(z[3]) if moving else np.zeros(len(value))
-        jacobian = np.concatenate([by_u * SCALE, along[:, None]], axis=1)[:3]
+        *jacobian, slopes = np.concatenate([by_u * SCALE, along[:, None]], axis=1)
         size = np.abs(jacobian).max(axis=1)
-        return value[:3] / size, jacobian / size[:, None], float(value[3])
+        return value[:3] / size, jacobian / size[:, None], (float(value[3]), slopes)
 
     def _fraction(self, u) -> float:
         return float(u[2] / largest_load(self.membrane.material, u[:1])[0])
@@ -256,13 +256,13 @@ class System:
                     continue
                 if not (np.isfinite(z).all() and z[0] * SCALE[0] > 1.0 and np.abs(z - start).max() < reach):
                     raise Lost
-                value, jacobian, volume = self.linear(z, steps)
+                value, jacobian, (volume, slopes) = self.linear(z, steps)
                 try:
                     move = np.linalg.solve(np.vstack([jacobian, row]), -np.append(value, row @ z - target))
                     tangent = np.linalg.svd(jacobian)[2][3]
                 except np.linalg.LinAlgError:
                     raise Lost from None
-                z, size = z + move, float(np.abs(move).max())
+                z, volume, size = z + move, volume + float(slopes @ move), float(np.abs(move).max())
             if size < AGREED:  # the finer grid shows the remaining Newton step and the error of the coarser grid
                 # what the finer grid leaves is smaller by the order of the method, eight
                 gain = min(SAFETY, (fine / coarse) ** 8 - 1)

@@ -164,17 +164,20 @@ def _solve(matrix, right):
     return inverse @ right
 
 
-def _move(kind: PointKind, value, by_u, by_theta):
-    return -_solve(_unknowns(kind, by_u, by_theta)[:-1], value[:-1, None])[:, 0]
+def _moved(kind: PointKind, value, by_u, by_theta):
+    """The Newton step, and V after it."""
+    columns = _unknowns(kind, by_u, by_theta)
+    move = -_solve(columns[:-1], value[:-1, None])[:, 0]
+    return move, value[-1] + columns[-1] @ move
 
 
 def correction(kind: PointKind, engine: AbstractRim, u, theta: Conditions, free: int | None = None):
-    """F(u, θ), the Newton step −F_x⁻¹ F of the unknowns x of a kind of point, and V.
+    """F(u, θ), the Newton step −F_x⁻¹ F of the unknowns x of a kind of point, and V after it, to first order.
 
     The unknowns are (λa, p, q), or with a `free` leaf of θ (λa, p, leaf) or (λa, p, q, leaf).
     """
     value, by_u, by_theta = linearised(kind, () if free is None else (free,), engine, u, theta)
-    return value[:-1], _program(_move, kind)(value, by_u, by_theta), value[-1]
+    return value[:-1], *_program(_moved, kind)(value, by_u, by_theta)
 
 
 def _rates(kind: PointKind, free, by_u, by_theta):

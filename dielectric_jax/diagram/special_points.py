@@ -10,7 +10,7 @@ import concurrent.futures
 import dataclasses
 
 import numpy as np
-from scipy.optimize import brentq
+from scipy.optimize import root_scalar
 
 from ..model import SCALE, PointKind, Points
 from .mesh import Curve, between, hermite, scaled, solve_between
@@ -155,14 +155,14 @@ def _locate(solver, curves, wanted, tolerance, near: dict):
 def _root_between(function, low: float = 0.0, high: float = 1.0) -> float | None:
     """The root of a scalar function between two places by Brent's method; None where it has one sign at both."""
     first, last = float(function(low)), float(function(high))
-    return float(brentq(function, low, high, xtol=1e-15)) if first * last <= 0 else None
+    return root_scalar(function, bracket=(low, high), xtol=1e-15).root if first * last <= 0 else None
 
 
 def _hermite_roots(x0, x1, t0, t1, gap, target) -> np.ndarray:
     """Share of each interval at which the cubic Hermite interpolant takes the target between its ends."""
 
-    def share(level, a, b, *slopes):
-        found = _root_between(lambda s: hermite(a, b, *slopes, s) - level)
+    def share(level, a, b, t0, t1, gap):
+        found = _root_between(lambda s: hermite(a, b, t0, t1, gap, s) - level)
         # an end that is the level but for rounding
         return (0.0 if abs(a - level) < abs(b - level) else 1.0) if found is None else found
 

@@ -184,3 +184,17 @@ def test_a_curve_ends_where_its_filling_does():
     for curve in (below, above):
         nearest = np.abs(curve.parameter - 1.908684829414).argmin()
         assert abs(curve.parameter[nearest] - 1.908684829414) < 1e-3
+
+
+def test_folds_over_the_filling_pressure_are_as_exact_as_they_say():
+    """The state that fills the chamber moves with p_0: its volume must be as exact as its pressure."""
+    scene = dj.Scene(dj.Membrane(), dj.Chamber(volume=1600.0, initial_pressure=1.5))
+    found = dj.fold_curves(scene, "initial_pressure", (1.45, 1.5), kinds=("fold",), samples=2)
+    curve = min(found.curves, key=lambda c: c.volume.min())
+    for i in np.unique(np.linspace(0, len(curve.parameter) - 1, 5).astype(int)):
+        own = scene.replace(initial_pressure=float(curve.parameter[i]))
+        folds = [p for p in dj.voltage_volume(own, tolerance=1e-11).special_points if p.kind == "fold"]
+        fold = min(folds, key=lambda p: abs(p.volume - curve.volume[i]))
+        apart = abs(curve.voltage[i] ** 2 - fold.voltage_squared) / max(fold.voltage_squared, 1e-3)
+        assert apart <= curve.error_estimate[i] + fold.error_estimate
+        assert abs(curve.volume[i] / fold.volume - 1) < 1e-8
