@@ -349,7 +349,7 @@ def _step_program(walk, value, jacobian):
 def _begun(place: Place) -> Walk:
     """A walk that stands on a place, which is corrected already, and heads along its tangent."""
     walk = begin(_WALKS, place.z, place.tangent)
-    # half of twice the first step
+    # `shorter` halves the step
     walk = shorter(walk._replace(count=walk.count + 1, step=jnp.asarray(2 * CURVE_STEPS.first)))
     return jax.tree.map(np.asarray, walk)
 

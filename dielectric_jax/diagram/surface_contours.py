@@ -144,7 +144,7 @@ class OnSurface:
         )
 
     def corrected_points(self, u, rows, targets, *, tolerance=1e-9, reach=1.0, refine=False) -> Points:
-        """States near `u` on the loading's contour with rows·u = targets; see `equations.corrected_points`."""
+        """States near `u` on the loading's contour with rows·u = targets; see `model.corrected_points`."""
         u, rows, targets = np.asarray(u, float), np.asarray(rows, float), np.asarray(targets, float)
         found = self.correct(u, rows, targets, tolerance=tolerance, reach=reach)
         lost = np.flatnonzero(~found.ok)

@@ -25,7 +25,7 @@ __all__ = ["Root", "SmallSystem", "root_find", "solve_small"]
 class Root(eqx.Module):
     """A root, the size of the last move towards it, and the `Code` as an integer: `ok` or `not_converged`.
 
-    Size and code are numbers, but arrays of the shape of the root where it is found elementwise.
+    Size and code are numbers; for elementwise roots they are arrays of the root's shape.
     """
 
     value: Float[Array, "*unknowns"]
@@ -96,7 +96,7 @@ class _Moved(eqx.Module):
 class _Newton(optx.AbstractRootFinder):
     """Newton's method whose moves are at most `most_move` in each unknown; `options` may hold `lower` and `upper`.
 
-    `elementwise` the unknowns are the roots of equations of their own.
+    With `elementwise` each unknown is the root of its own equation.
     """
 
     rtol: float
@@ -124,11 +124,11 @@ class _Newton(optx.AbstractRootFinder):
         new = y - move
         if options:
             new = jnp.clip(new, options.get("lower"), options.get("upper"))
-        # a move beyond a bound counts whole: what a bound holds is no root
+        # a move cut short by a bound counts in full: a point held at a bound is not a root
         size = jnp.abs(move)
         if not self.elementwise:
             return new, _Moved(jnp.max(size)), aux
-        # a lane that is lost stays where it is, so that the others go on; its move is not finite ever after
+        # a lost lane stays where it is, so that the others can go on; its move stays infinite or NaN
         return jnp.where(jnp.isfinite(new), new, y), _Moved(size), aux
 
     def terminate(self, fn, y, args, options, state, tags):
@@ -139,7 +139,7 @@ class _Newton(optx.AbstractRootFinder):
 
 
 def _every_step(cond_fun, body_fun, init_val, *, max_steps):
-    """A loop of all `max_steps`, where no lane of `vmap` is held back: that would cost more than a step of a cheap function."""
+    """A loop that always makes `max_steps`: masking finished lanes of `vmap` would cost more than a step of a cheap function."""
     return jax.lax.fori_loop(0, max_steps, lambda _, carry: body_fun(carry), init_val)
 
 
@@ -205,7 +205,7 @@ def root_find(
         lower: lower bounds of the unknowns, where moves end.
         upper: upper bounds of the unknowns.
         elementwise: whether f acts on each element of x alone, so that x may have any shape, and is as many roots. They are
-            found together, in fewer operations than by `jax.vmap`.
+            found together, with fewer operations than under `jax.vmap`.
 
     Returns:
         The root, the size of its last move, not shortened by the bounds, and a code: `Code.ok`, or `Code.not_converged` if the
