@@ -21,7 +21,9 @@ from benchmarks import harness
 from benchmarks.speed.batch_diagrams import scenes_of
 from benchmarks.speed.shots import MATERIAL, SHORTEST, States
 from benchmarks.truth import chambers
-from dielectric_jax.diagram import batch, batch_programs, scene_batch
+from dielectric_jax.diagram import batch
+from dielectric_jax.diagram.resolution import PASSES
+from dielectric_jax.model import scene_batch
 from dielectric_jax.model.shooting import UNKNOWNS, integrate_membrane
 from dielectric_jax.numerics.compiled import cached_jit
 
@@ -58,7 +60,7 @@ class Meter:
 
 
 def march_sides(membrane, condition, limits, walk, peak, grid):
-    return len(peak), batch_programs.PASSES * grid.steps * STAGES
+    return len(peak), PASSES * grid.steps * STAGES
 
 
 def correction_sides(membrane, condition, begin, goals, rounds, grid):

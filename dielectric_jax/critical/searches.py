@@ -12,7 +12,6 @@ import numpy as np
 
 from ..diagram import (
     Ramps,
-    SceneBatch,
     TraceGrid,
     branch_problem,
     chamber_ramps,
@@ -25,7 +24,7 @@ from ..diagram import (
     starts,
     voltage_volume,
 )
-from ..model import SCALE, ConstantVoltage, Outcome, PointKind, Scene, State, locking_stretch
+from ..model import SCALE, ConstantVoltage, Outcome, PointKind, Scene, SceneBatch, State, locking_stretch
 from ..numerics import Code, SceneError, advance, begin, cached_jit
 from ..surface import Surface
 from .host_scenes import Scenes
@@ -124,14 +123,14 @@ def _first_fold(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     locks = np.array([locking_stretch(scene.membrane)])
     membrane = stacked([scene.membrane])
     nothing = stacked([ConstantVoltage(0.0).condition()])
-    start = starts([scene], SceneBatch(membrane, nothing, locks, alone=True), TOLERANCE)
+    start = starts([scene], SceneBatch(membrane, nothing, locks, sizes=(1,)), TOLERANCE)
     if not start.ok[0]:
         return _by_diagram(scene)
     at = _point(start.u[0], start.volume[0], start.error[0])
     if start.index[0] != 0:
         return at, _no(Code.start_unstable)
     condition = condition_of(scene, start.u[0, 1], start.volume[0])
-    scene_batch = SceneBatch(membrane, stacked([condition]), locks, alone=True)
+    scene_batch = SceneBatch(membrane, stacked([condition]), locks, sizes=(1,))
     limits, lengths = _box(scene), np.array([CLIMB_STEPS.smallest, CLIMB_STEPS.largest, CLIMB_STEPS.largest])
     for accuracy, top in CLIMB_GRIDS:
         grid = TraceGrid(accuracy, np.array(top), lengths)

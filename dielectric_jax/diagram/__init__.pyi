@@ -5,7 +5,6 @@ from .mesh import hermite
 from .ramp import ENDS
 from .ramps import APEX, ERROR, LISTED, LOAD, PRESSURE, SLOTS, VOLUME, RampArrays, Ramps, Slot, States, ramps_of
 from .regimes import regime_of, regime_of_diagram
-from .scene_batch import SceneBatch
 from .states import check_request, equilibrium, filling
 from .surface_ramps import (
     Curves,
@@ -37,7 +36,6 @@ __all__ = [
     "MembraneKey",
     "RampArrays",
     "Ramps",
-    "SceneBatch",
     "Slot",
     "States",
     "TraceGrid",

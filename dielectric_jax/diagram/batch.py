@@ -16,24 +16,29 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from ..model import (
+    LANES,
     SCALE,
     SCANNED_LOAD,
     Chamber,
     ClosingEquation,
     ConstantPressure,
     ConstantVoltage,
+    Corrected,
     FoldAhead,
     LoadingCondition,
     Membrane,
     Outcome,
     Scene,
+    SceneBatch,
+    calls,
     locking_stretch,
     map_nodes,
     other_loading,
+    padded,
+    pick,
     stretch_shares,
 )
 from ..numerics import Code, cores
-from .batch_programs import march_program, new_walks
 from .batch_ramps import RampArrays, assemble, have_others, ramps_on_lines
 from .landings import Landing, folds_ahead, landings
 from .polylines import Polylines
@@ -47,9 +52,8 @@ from .resolution import (
     SAME_LANDING,
     START_LINE,
 )
-from .scene_batch import LANES, Corrected, SceneBatch, calls, padded, pick
 from .states import check_request
-from .tracing import TraceGrid
+from .tracing import TraceGrid, march_program, new_walks
 
 __all__ = ["Batch", "condition_of", "continue_scenes", "stacked", "starts"]
 

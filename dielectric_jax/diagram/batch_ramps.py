@@ -11,11 +11,14 @@ from ..model import (
     SCANNED_LOAD,
     ClosingEquation,
     ConstantVoltage,
+    Corrected,
     FoldAhead,
     Membrane,
     Outcome,
     Scene,
+    SceneBatch,
     cached_scan,
+    pick,
 )
 from .polylines import Places, Polylines
 from .ramps import LISTED, SLOTS, RampArrays, Slot
@@ -28,7 +31,6 @@ from .resolution import (
     OTHER_BRANCH_STRIDE,
     SCENES_TOGETHER,
 )
-from .scene_batch import Corrected, SceneBatch, pick
 
 __all__ = ["Assembly", "Events", "assemble", "have_others", "ramps_on_lines"]
 

@@ -18,13 +18,16 @@ from ..model import (
     SCANNED_LOAD,
     ClosingEquation,
     ConstantVoltage,
+    Corrected,
     FoldAhead,
     LoadingCondition,
     Membrane,
     Scan,
     Scene,
+    SceneBatch,
     cached_scan,
     map_nodes,
+    pick,
 )
 from ..surface import ById
 from .ramps import LOAD, VOLUME
@@ -49,7 +52,6 @@ from .resolution import (
     SLOW_RISE,
     TURNING,
 )
-from .scene_batch import Corrected, SceneBatch, pick
 
 __all__ = ["Landing", "Landings", "folds_ahead", "landings"]
 

@@ -76,10 +76,6 @@ BATCH_LENGTHS = np.array([2e-5, 2.0, 1.0])
 BATCH_MOST_POINTS = 120  # of a march
 SAME_LANDING = 0.02  # of λa: a landing on the line and one that the scan shows
 PASSES = 4  # steps of a march in one call
-TANGENTS_APART = 1e-5  # distance of points whose tangents show how fast q turns
-SETTLED = 3e-4  # last move of Newton whose remainder a chord step on the finer grid removes
-SETTLED_FOLD = 1e-4  # the same at folds, where the secant converges more slowly
-TANGENT_ERROR = 10  # a tangent's error by that of the residual on the same grid
 LOOKS = 5  # rounds in which lines are searched for hidden events
 CLEAR_DIP = 0.2  # of the smaller end slope: a dip of the slope that stays above it hides nothing
 EVENT_REACH = 0.6  # of the chord of its interval: how far an event may lie from where the interpolant shows it
@@ -87,12 +83,6 @@ AMBIGUOUS_ON_LINES = 1e-6  # of the breakdown load: a landing nearer to it is no
 DENSE_POINTS = 6, 16, 200  # points on an interval of a line: closer where cells are left, as rows crowd towards lock-up
 SCENES_TOGETHER = 32  # scenes whose scans are compared together, in the cache
 OTHER_BRANCH_STRIDE = 3  # every third node of the scan is enough to see another branch
-SPLIT = 96  # so many lanes cost less in several small calls than in a large one
-MOST_SPREAD = 1e-4  # relative error of V that comes of not knowing where on its branch an event lies
-WORSE = 100  # times the tolerance: an error that no grid reduces, as beside a fold, is reported as it is
-TURNS = 6  # calls of one grid, while Newton goes on
-STRETCHES_TOGETHER = 1024  # stretches of one call
-NEWTON_ROUNDS = 2, 3  # of Newton in one call; at folds
 
 # What lies beyond breakdown, read from the scan. Checked by benchmarks.acceptance.one_answer.
 SCAN_STRIDE = 2  # every second row of the scan is enough for contours

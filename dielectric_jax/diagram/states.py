@@ -116,8 +116,8 @@ def filling(scene: Scene, tolerance: float) -> tuple[float | None, float | None]
         return None, None
     name = "initial_volume" if loading.initial_volume is not None else "initial_pressure"
     wanted = float(getattr(loading, name))
-    state = _filled_state(membrane, name.removeprefix("initial_"), wanted, tolerance)
-    if state is None:
+    filled = _filled_state(membrane, name.removeprefix("initial_"), wanted, tolerance)
+    if filled is None:
         if too_flat(membrane, name.removeprefix("initial_"), wanted):
             raise SceneError(Code.near_flat)
         most = _reach(membrane, name.removeprefix("initial_"))
@@ -125,7 +125,7 @@ def filling(scene: Scene, tolerance: float) -> tuple[float | None, float | None]
             f"`{name}` must lie between 0 and {most:.6g}, what the membrane reaches at zero voltage up to its largest stretch, "
             f"but is {wanted!r}."
         )
-    return (state.pressure, wanted) if name == "initial_volume" else (wanted, state.volume)
+    return (filled[0], wanted) if name == "initial_volume" else (wanted, filled[1])
 
 
 def _zero_load_line(membrane: Membrane):
@@ -139,8 +139,8 @@ def _zero_load_line(membrane: Membrane):
     return chart.apex_stretch, pressure, volume
 
 
-def _filled_state(membrane: Membrane, quantity: str, wanted: float, tolerance: float) -> State | None:
-    """The state of smallest volume at zero voltage with the wanted pressure or volume."""
+def _filled_state(membrane: Membrane, quantity: str, wanted: float, tolerance: float) -> tuple[float, float] | None:
+    """p and V of the state of smallest volume at zero voltage with the wanted pressure or volume."""
     apex, pressure, volume = _zero_load_line(membrane)
     value = np.log((pressure if quantity == "pressure" else volume) / wanted)
     crossing = np.flatnonzero(value[:-1] * value[1:] <= 0)
@@ -149,14 +149,16 @@ def _filled_state(membrane: Membrane, quantity: str, wanted: float, tolerance: f
         row = [[np.nan] * 3] if quantity == "volume" else [[0.0, 1.0, 0.0]]
         condition = ConstantVoltage(0.0).condition()
         found = corrected_points(
-            membrane, condition, np.array(guess), np.array(row), np.array([wanted]), tolerance=tolerance / 100
+            *(membrane, condition, np.array(guess), np.array(row), np.array([wanted])),
+            tolerance=tolerance / 100,
         )
         if found.ok[0] and found.error[0] <= tolerance:
-            return states_of(found, tolerance)[0]
+            return float(found.u[1, 0]), float(found.volume[0])
     try:  # near the peak of the pressure, or at the window's edge: the fine search
-        return equilibrium(membrane, voltage=0.0, tolerance=tolerance, **{quantity: wanted})  # pyright: ignore[reportArgumentType]
+        state = equilibrium(membrane, voltage=0.0, tolerance=tolerance, **{quantity: wanted})  # pyright: ignore[reportArgumentType]
     except (SceneError, ValueError):
         return None
+    return state.pressure, state.volume
 
 
 def _touches(value: np.ndarray) -> bool:

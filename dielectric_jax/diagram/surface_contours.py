@@ -168,11 +168,11 @@ class OnSurface:
             points, hoop=points.hoop.copy(), field=points.field.copy(), index=points.index.copy()
         )
         level = difficulty(locking_stretch(self.membrane), points.u[0], load_fraction(self.membrane, points.u))
-        for k, grids in enumerate(GRIDS):
+        for k, (_, grids) in enumerate(GRIDS):
             which = todo[level[todo] == k]
             if len(which):
                 values = run_lanes(
-                    lambda part, n=grids[1]: value_program(self.membrane, part, n), points.u[:, which], sizes=CHUNK
+                    lambda part, n=grids[0]: value_program(self.membrane, part, n), points.u[:, which], sizes=CHUNK
                 )
                 points.hoop[which], points.field[which] = values[4:6]
         control = points.tangent[:, self.condition.control]

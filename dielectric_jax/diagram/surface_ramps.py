@@ -20,6 +20,7 @@ from ..model import (
     FoldAhead,
     LoadingCondition,
     Outcome,
+    SceneBatch,
     locking_stretch,
 )
 from ..numerics import cached_jit, check_positive, root_find, run_lanes
@@ -37,7 +38,6 @@ from .resolution import (
 )
 from .row_points import ContourOnRows, Events, first_place
 from .row_ramp import Crossed, corrector_program, ramp_program, snap_program
-from .scene_batch import SceneBatch
 
 __all__ = [
     "Curves",

@@ -2,22 +2,33 @@
 
 import typing
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..model import SCALE, ConstantVoltage, Membrane, compile_ahead, largest_load, rim_with_sensitivities
-from ..numerics import Code, Problem, Steps, Trace, cached_jit, threads, trace
+from ..model import (
+    SCALE,
+    ConstantVoltage,
+    Membrane,
+    compile_ahead,
+    field_ratio_squared,
+    largest_load,
+    rim_with_sensitivities,
+)
+from ..numerics import Code, Problem, Steps, Trace, Walk, advance, cached_jit, threads, trace
 from .resolution import (
     FLAT_END,
     LARGEST_LOAD_NEAR_LOCK_UP,
     LARGEST_RESTART,
+    MARCH_CONTROL,
     MOST_PARTS,
+    PASSES,
     TRACE_CONTROL,
     TRACE_LOAD_LIMITS,
     TRACE_STEPS,
 )
 
-__all__ = ["TraceGrid", "run_trace", "run_traces", "warm_up"]
+__all__ = ["TraceGrid", "march_program", "new_walks", "run_trace", "run_traces", "warm_up"]
 
 
 _CODES = (
@@ -136,6 +147,49 @@ def _run_trace(membrane, condition, limits, start, level, bounds, parts):
     if len(finer[0]) < 2:
         return points[:-1], tangents[:-1], code if long else Code.step_too_small
     return np.concatenate([points[:-2], finer[0]]), np.concatenate([tangents[:-2], finer[1]]), finer[2]
+
+
+def new_walks(u: np.ndarray, headings: np.ndarray) -> Walk:
+    """Walks about to begin at u (lanes, 3) towards `headings`, as arrays of NumPy."""
+    at, way = u / SCALE, headings / SCALE
+    way = way / np.linalg.norm(way, axis=1, keepdims=True)
+    lanes = len(u)
+    places = {"base": at, "trial": at, "origin": at, "tangent": way, "heading": way, "bend": np.zeros((lanes, 2, 3))}
+    numbers = {"step": np.zeros(lanes), "last": np.full(lanes, np.inf), "watched": np.zeros((lanes, 1))}
+    counts = {name: np.zeros(lanes, int) for name in ("tries", "count", "code", "evaluations")}
+    copies: dict[str, typing.Any] = {name: value.copy() for name, value in (places | numbers | counts).items()}
+    return Walk(**copies)
+
+
+@cached_jit
+def march_program(membrane, condition, limits, walk, peak, grid: TraceGrid):
+    """Walks after a few passes, a bound of the highest q on them, and after every pass: base, tangent, and whether it is new.
+
+    A walk ends with `Code.breakdown` beyond breakdown at the apex, at a load higher than any before on it.
+    """
+    material = membrane.material
+
+    def one(material, prestretch, condition, limits, walk):
+        problem = branch_problem(material, prestretch, condition, limits, grid, MARCH_CONTROL)
+        return advance(problem, walk)
+
+    def one_pass(state, _):
+        walk, peak = state
+        before = walk
+        walk, accept = jax.vmap(one)(material, membrane.prestretch, condition, limits, walk)
+        apex, q = walk.base[:, 0] * SCALE[0], walk.base[:, 2] * SCALE[2]
+        broken = accept & (q * field_ratio_squared(membrane.breakdown, apex, apex) > 1) & (q >= peak)
+        code = jnp.where(broken, int(Code.breakdown), walk.code)
+        # a fold's load lies above those of its neighbours, and below the control points of the cubic between them
+        third = jnp.linalg.norm(walk.base - before.base, axis=1) / 3
+        rise, fall = third * before.tangent[:, 2], -third * walk.tangent[:, 2]
+        between = jnp.maximum(before.base[:, 2] + rise, walk.base[:, 2] + fall) * SCALE[2]
+        highest = jnp.where((rise > 0) & (fall > 0), jnp.maximum(between, q), q)
+        peak = jnp.where(accept, jnp.maximum(peak, highest), peak)
+        return (walk._replace(code=code), peak), (walk.base, walk.tangent, accept)
+
+    (walk, peak), passed = jax.lax.scan(one_pass, (walk, peak), length=PASSES)
+    return tuple(walk), peak, passed
 
 
 def warm_up(membrane: Membrane) -> None:

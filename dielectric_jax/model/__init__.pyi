@@ -1,14 +1,4 @@
 from .chart import Scan, cached_scan, explicit_map, map_nodes, stretch_shares
-from .corrector import (
-    GridChange,
-    Points,
-    Shooting,
-    corrected_points,
-    difficulty,
-    estimated_error,
-    load_fraction,
-    locking_stretch,
-)
 from .energies import require_float64
 from .kinds import ClosingEquation, PointKind, RampEvent
 from .loading import (
@@ -48,19 +38,21 @@ from .materials import (
 from .membrane import Membrane, Profile, field_ratio_squared, slopes, vhb_4910, window_end
 from .outcomes import REGIME_COLOURS, SNAPPING, FoldAhead, Outcome, Regime, regimes_of
 from .parameters import PARAMETERS, Change, Parameter, change_of, parameter_of, place_of
+from .points import Points, Shooting, compile_ahead, corrected_points
 from .profiles import energy, profile, scaling_defect
-from .programs import compile_ahead, jacobian_program, value_program
+from .programs import jacobian_program, value_program
 from .records import Branch, Event, Ramp, SpecialPoint, State, events_table, plain, points_table, voltage_of
-from .resolution import CHUNK, CONTRACTION, GRIDS, LEAST_ESTIMATE, LOAD_PANELS, MOST_STEPS, SCALE, SCANNED_LOAD
+from .resolution import CHUNK, GRIDS, LEAST_ESTIMATE, LOAD_PANELS, MOST_STEPS, SCALE, SCANNED_LOAD
 from .scene import Scene, Window, describe, pair
+from .scene_batch import LANES, Corrected, SceneBatch, calls, difficulty, load_fraction, locking_stretch, padded, pick
 from .shooting import UNKNOWNS, eighth_order_step, integrate_membrane, rim_with_sensitivities, shoot
-from .stability import Stability, index_of, stability_of
+from .stability import Stability, stability_of
 from .units import VACUUM_PERMITTIVITY, VHB_4910, Units
 
 __all__ = [
     "CHUNK",
-    "CONTRACTION",
     "GRIDS",
+    "LANES",
     "LEAST_ESTIMATE",
     "LOAD_PANELS",
     "MOST_STEPS",
@@ -84,6 +76,7 @@ __all__ = [
     "ConstantBreakdown",
     "ConstantPressure",
     "ConstantVoltage",
+    "Corrected",
     "CustomBreakdown",
     "CustomMaterial",
     "CustomPermittivity",
@@ -91,7 +84,6 @@ __all__ = [
     "Event",
     "FoldAhead",
     "Gent",
-    "GridChange",
     "LoadingCondition",
     "Membrane",
     "MooneyRivlin",
@@ -108,6 +100,7 @@ __all__ = [
     "Regime",
     "Scan",
     "Scene",
+    "SceneBatch",
     "Shooting",
     "SpecialPoint",
     "Stability",
@@ -117,6 +110,7 @@ __all__ = [
     "Window",
     "as_scalar",
     "cached_scan",
+    "calls",
     "capacitance",
     "change_of",
     "compile_ahead",
@@ -127,12 +121,10 @@ __all__ = [
     "eighth_order_step",
     "energy",
     "energy_on",
-    "estimated_error",
     "events_table",
     "explicit_map",
     "field_on",
     "field_ratio_squared",
-    "index_of",
     "integrate_membrane",
     "is_concrete",
     "jacobian_program",
@@ -142,8 +134,10 @@ __all__ = [
     "map_nodes",
     "mechanical",
     "other_loading",
+    "padded",
     "pair",
     "parameter_of",
+    "pick",
     "place_of",
     "plain",
     "points_table",

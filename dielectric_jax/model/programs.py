@@ -1,20 +1,15 @@
-"""The compiled programs of a membrane, each for a fixed number of lanes, and how they are compiled ahead."""
-
-import collections
-import concurrent.futures
-from collections.abc import Callable
+"""The compiled programs of one membrane, each for a fixed number of lanes: values, Jacobians, charge."""
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from ..numerics import cached_jit, lanes_of_a_call
+from ..numerics import cached_jit
 from .materials import ArrudaBoyce, Gent, NeoHookean, stresses
-from .membrane import Membrane, field_ratio_squared, slopes
-from .resolution import CHUNK, LEAST_NEWTON, MOST_KINDS, TRAIL_BLOCK
+from .membrane import field_ratio_squared, slopes
+from .resolution import LEAST_NEWTON, TRAIL_BLOCK
 from .shooting import UNKNOWNS, eighth_order_step, integrate_membrane
 
-__all__ = ["careful_program", "charge_program", "compile_ahead", "jacobian_program", "value_program"]
+__all__ = ["careful_program", "charge_program", "jacobian_program", "value_program"]
 
 
 @cached_jit
@@ -138,28 +133,3 @@ def value_program(membrane, u, steps):
         y = eighth_order_step(rates, tau, jnp.where(inner, x / steps, 0.0), y)
         least[k] = jnp.where(inner, function(apex + y[0], apex + y[1]), least[k])
     return shot.stretch_change, shot.volume, shot.height, shot.charge, least[0], -least[1], admissible, elliptic
-
-
-_compiling: collections.OrderedDict = collections.OrderedDict()
-
-
-def compile_ahead(membrane: Membrane, more: tuple[Callable, ...] = ()) -> None:
-    """Starts compiling the programs of this kind of membrane side by side, and `more`; `corrected_points` waits for its own."""
-    key = jax.tree.structure(membrane)
-    if key not in _compiling:
-        u = np.tile(np.array([[float(membrane.prestretch) + 0.1], [0.1], [0.0]]), (1, lanes_of_a_call(CHUNK)))
-        jobs = (
-            *more,
-            lambda: jacobian_program(membrane.material, u, 2.0),
-            lambda: value_program(membrane, u, 2.0),
-        )
-        pool = concurrent.futures.ThreadPoolExecutor(len(jobs))
-        _compiling[key] = [pool.submit(job) for job in jobs]
-        pool.shutdown(wait=False)
-        while len(_compiling) > MOST_KINDS:
-            _compiling.popitem(last=False)
-
-
-def await_programs(membrane: Membrane) -> None:
-    for job in _compiling.get(jax.tree.structure(membrane), ()):
-        job.result()

@@ -60,24 +60,50 @@ MOST_KINDS = 16
 
 # --- corrector ---
 
-# steps of Newton, then of the residual, by difficulty: easy; an inner layer near lock-up at a high load, thick; thin or a cone
-GRIDS = ((16.0, 32.0, 64.0, 128.0), (24.0, 48.0, 96.0, 192.0, 320.0), (80.0, 160.0, 320.0))
+# steps of Newton's grids, then of the residual's, by difficulty: easy; an inner layer near lock-up at a high load, thick; thin
+# or a cone
+GRIDS = (((12.0, 32.0), (44.0, 88.0, 176.0)), ((24.0, 64.0), (96.0, 192.0, 320.0)), ((80.0, 80.0), (160.0, 320.0)))
+# the same of batches: steps of Newton and of the residual, in the order in which they are tried, Newton each time anew.
+# Measured by benchmarks.speed.lane_profile and benchmarks.speed.batch_diagrams
+GRIDS_ANEW = (
+    ((12.0, 36.0), (24.0, 80.0), (48.0, 128.0)),
+    ((24.0, 64.0), (64.0, 160.0), (160.0, 320.0)),
+    ((80.0, 200.0), (160.0, 320.0)),
+)
+# steps of Newton in one call, and at folds, at most
+NEWTON_ROUNDS = 2, 3
+# calls on one grid, while Newton goes on
+TURNS = 6
+# largest move of one step of Newton, in scaled unknowns
+LARGEST_MOVE = 0.5
+# last move of Newton whose remainder a chord step on the finer grid removes
+SETTLED = 3e-4
+# the same at folds, where the secant converges more slowly
+SETTLED_FOLD = 1e-4
+# distance of points whose tangents show how fast q turns
+TANGENTS_APART = 1e-5
+# a tangent's error by that of the residual on the same grid
+TANGENT_ERROR = 10
+# relative error of V that comes of not knowing where on its branch an event lies
+MOST_SPREAD = 1e-4
+# times the tolerance: in a batch an error that no grid reduces, as beside a fold, is reported as it is
+WORSE = 100
+# so many lanes cost less in several small calls than in a large one
+SPLIT = 96
+# stretches of one call
+STRETCHES_TOGETHER = 1024
 # share of the lock-up stretch beyond which a high load forms an inner layer
 LAYER_STRETCH = 0.72
 # load fractions above which that layer needs the second and the third sequence of `GRIDS`
 LAYER_LOADS = (0.7, 0.86)
 # load fraction above which any other state is near the cone and needs the third sequence
 CONE_LOAD = 0.93
-# iterations of Newton at most, by difficulty; a lane that needs more is not converged
-NEWTON_TRIES = (9, 6, 9)
 # steps of a refined tangent, by difficulty
 REFINED = (48.0, 144.0, 240.0)
 # component of the tangent along the control below which a tangent is refined: the index turns on its sign
 NEAR_FOLD = 1e-3
 # share of a chord step that the next one would move, by difficulty: the error of Newton's Jacobian, measured
 CONTRACTION = (2e-4, 3e-3, 1e-3)
-# relative move beyond which a state is corrected again: height and charge are not moved along with it
-MOST_MOVE = 3e-9
 # exponents of the tolerances of adaptive steps, tried in this order after the finest grid
 ADAPTIVE = (10.0, 12.0, 13.0)
 # error estimate on the finest grid beyond which adaptive steps are not tried

@@ -24,20 +24,17 @@ from .resolution import CHUNK, EQUILIBRIUM, GRID_DOUBT, LEAST_ESTIMATE, STABILIT
 from .scene import Scene
 from .shooting import UNKNOWNS, integrate_membrane
 
-__all__ = ["Stability", "control_rate", "index_of", "index_under", "stability_of"]
+__all__ = ["Stability", "control_rate", "index_of", "index_under", "stability_of", "under_charge"]
 
 
-def index_of(zeros, jacobian, sensitivities, volume, condition, charge=None):
+def index_of(zeros, jacobian, sensitivities, volume, condition):
     """Morse index under a contour's loading, (lanes,): zeros of ∂λ2/∂λa corrected for what the loading adds.
 
-    `jacobian` (lanes, 2, 3) and `sensitivities` (3, 2, lanes) are those of a shot; `charge` is q, C and its gradient (3, lanes)
-    where the charge is controlled.
+    `jacobian` (lanes, 2, 3) and `sensitivities` (3, 2, lanes) are those of a shot. Where the charge is controlled it is that
+    under the voltage, see `under_charge`.
     """
     by_p, by_v, _ = condition.slopes(volume)
-    index = index_under(zeros, jacobian[:, 0, 0], sensitivities, by_p, by_v)
-    if charge is not None:
-        return _under_charge(index, np.cross(jacobian[:, 0], jacobian[:, 1]).T, *charge)
-    return index
+    return index_under(zeros, jacobian[:, 0, 0], sensitivities, by_p, by_v)
 
 
 def index_under(zeros, of_rim, sensitivities, by_p, by_v):
@@ -64,8 +61,11 @@ def control_rate(q, along, charge, gradient):
     return along[2] + 2 * q * (gradient * along).sum(axis=0) / charge
 
 
-def _under_charge(index, along, q, charge, gradient):
-    """The index with U + Q²/(2C) for U − qC/2: one less where dQ²/dq < 0 along the loading; one more where q < 0."""
+def under_charge(index, along, q, charge, gradient):
+    """The index with U + Q²/(2C) for U − qC/2: one less where dQ²/dq < 0 along the loading; one more where q < 0.
+
+    `along` (3, lanes) is a direction along the branch; C and its gradient (3, lanes) are given.
+    """
     with np.errstate(all="ignore"):
         turned = control_rate(q, along, charge, gradient) * along[2] < 0
     return np.where(turned, index - np.sign(q).astype(int), index)
@@ -264,7 +264,7 @@ def _index_and_sign(found, q, by_p, by_v, charged: bool):
     condition = by_v * sensitivities[:, 1]
     condition[1] += by_p
     along = np.cross(rim.T, condition.T).T
-    index = _under_charge(index, along, q, charge, sensitivities[:, 2])
+    index = under_charge(index, along, q, charge, sensitivities[:, 2])
     one, other = np.abs(rim), np.abs(condition)
     one[0] += 1.0
     most = np.stack([one[i] * other[j] + one[j] * other[i] for i, j in ((1, 2), (2, 0), (0, 1))])
