@@ -15,12 +15,15 @@ from ..model import (
     FoldAhead,
     Membrane,
     Outcome,
+    PointKind,
+    RampEvent,
     Scene,
     SceneBatch,
     cached_scan,
     pick,
 )
 from .polylines import Places, Polylines
+from .ramp import ENDS, Step, Stop, follow
 from .ramps import LISTED, SLOTS, RampArrays, Slot
 from .resolution import (
     AMBIGUOUS_ON_LINES,
@@ -280,124 +283,155 @@ class _Lists:
             self.of_fold.setdefault(fold, []).append(i)
 
 
-class _Ramp:
-    """The way up and down of one scene over the events of its lines.
+class _NotDecided(Exception):
+    """The lines do not show how a ramp goes on."""
+
+
+class _Place(typing.NamedTuple):
+    """An event on a line, one of `kind` of an assembly; without a kind the start. `rises` is the side on which q does."""
+
+    line: int
+    position: float
+    rises: int
+    kind: str | None
+    event: int
+
+
+class _OnLines:
+    """The events of one scene along its lines, for `follow`.
 
     `limits` are those of the membrane at the crossings, see `SceneBatch.limits`; `top` is the largest stretch of the window.
     """
 
     def __init__(self, of: Assembly, lists: _Lists, main: int, limits: np.ndarray, top: float):
-        self.of, self.lists, self.limits = of, lists, limits
-        self.top = top
-        self.main = main
+        self.of, self.lists, self.main, self.limits, self.top = of, lists, main, limits, top
+        self.start = _Place(main, 0.0, 1, None, -1)
+
+    def next(self, kind: str, line: int, position: float, side: float) -> tuple[float, int | None]:
+        """How far it is to the next event of a kind along a line, and its index; None where there is none."""
+        at = self.lists.positions[kind]
+        ahead = [(side * (at[i] - position), i) for i in self.lists.on_line[kind].get(line, ())]
+        return min((near for near in ahead if near[0] > 1e-9), default=(np.inf, None))
+
+    def next_stop(self, here: _Place, rising: bool) -> Stop:
+        """The next fold, breakdown or zero voltage along the line of `here`."""
+        line, position, rises, *_ = here
+        side = float(rises if rising else -rises)
+        other = "breaks" if rising else "zeros"
+        (to_fold, fold), (to_other, stop) = (self.next(kind, line, position, side) for kind in ("folds", other))
+        if fold is None and stop is None:
+            if not rising and line == self.main and side < 0:  # back at the start
+                return Stop(PointKind.zero_voltage, self.start, side)
+            raise _NotDecided
+        kind, event = ("folds", fold) if to_fold <= to_other else (other, stop)
+        assert event is not None
+        at = getattr(self.of, kind)
+        if rising and at.corrected.u[event, 0] > self.top:
+            raise _NotDecided
+        named = {"folds": PointKind.fold, "breaks": PointKind.breakdown, "zeros": PointKind.zero_voltage}[kind]
+        return Stop(named, _Place(line, float(at.position[event]), rises, kind, event), side)
+
+    def landing(self, fold: Stop) -> _Place | None:
+        """The stable state at a fold's load nearest in volume in the direction of the jump, on the lines of the scene."""
+        corrected, crossings = self.of.folds.corrected, self.of.crossings
+        event, found = fold.at.event, crossings.corrected
+        way = fold.side * np.sign(corrected.volume_rate[event])
+        jumps = [
+            (way * (found.volume[i] - corrected.volume[event]), i)
+            for i in self.lists.of_fold.get(event, ())
+            if found.index[i] == 0 and found.u[i, 2] <= SCANNED_LOAD * self.limits[2, i]
+        ]
+        _, i = min((jump for jump in jumps if jump[0] > 0), default=(0.0, None))
+        if i is None:
+            return None
+        rises = 1 if found.tangent[i, 2] > 0 else -1
+        return _Place(int(crossings.line[i]), float(crossings.position[i]), rises, "crossings", i)
+
+    def is_broken(self, landing: _Place) -> bool:
+        """Whether a landing lies at breakdown or beyond, which nearest to it the lines do not show."""
+        load, limit = self.of.crossings.corrected.u[landing.event, 2], self.limits[0, landing.event]
+        if abs(load - limit) <= AMBIGUOUS_ON_LINES * limit:
+            raise _NotDecided
+        return bool(load >= limit)
+
+
+class _Ramp:
+    """The way up and down of one scene over the events of its lines, in the slots of `RampArrays`."""
+
+    def __init__(self, lines: _OnLines, start: np.ndarray):
+        self.lines = lines
         self.events = np.full((5, SLOTS), np.nan)
+        self.events[:, Slot.start] = start
         self.snaps = 0
         self.broken_at: int | None = None
         self.last = 0.0  # position of the last event of the way up on the first line
         self.returns = False  # whether the way down was followed
-
-    def next(self, kind: str, line: int, position: float, side: int):
-        """The next event of a kind along a line, or None: its index."""
-        at = self.lists.positions[kind]
-        ahead = [
-            (side * (at[i] - position), i)
-            for i in self.lists.on_line[kind].get(line, ())
-            if side * (at[i] - position) > 1e-9
-        ]
-        return min(ahead)[1] if ahead else None
-
-    def land(self, fold: int, side: int):
-        """The stable state at a fold's load nearest in volume in the direction of the jump, or None."""
-        corrected, crossings = self.of.folds.corrected, self.of.crossings
-        way = side * np.sign(corrected.volume_rate[fold])
-        found = [
-            (way * (crossings.corrected.volume[i] - corrected.volume[fold]), i)
-            for i in self.lists.of_fold.get(fold, ())
-            if crossings.corrected.index[i] == 0 and crossings.corrected.u[i, 2] <= SCANNED_LOAD * self.limits[2, i]
-        ]
-        found = [f for f in found if f[0] > 0]
-        return min(found)[1] if found else None
 
     def is_sure(self) -> bool:
         """Whether nothing that the ramp says depends on a part of a line where an event may be missing.
 
         Where it breaks down, or snaps to no landing on its own lines, only the way to there counts.
         """
-        if self.snaps > 1 or self.returns:
-            return bool(np.isinf(self.of.sure[self.main]))
-        return self.last < self.of.sure[self.main]
+        sure = self.lines.of.sure[self.lines.main]
+        return bool(np.isinf(sure)) if self.snaps > 1 or self.returns else bool(self.last < sure)
 
-    def put(self, slot: int, kind: str, i: int) -> None:
-        self.events[:, slot] = self.lists.values[kind][i]
+    def _put(self, slot: int, place: _Place) -> None:
+        values = self.events[:, Slot.start] if place.kind is None else self.lines.lists.values[place.kind][place.event]
+        self.events[:, slot] = values
 
-    def up(self) -> Outcome:
-        """Follows the way up and returns how it ends; then, where it survives, the way down."""
-        of, line, position, side = self.of, self.main, 0.0, 1
-        for stage in range(_SNAPS + 1):
-            fold, broken = self.next("folds", line, position, side), self.next("breaks", line, position, side)
-            if fold is None and broken is None:
-                return Outcome.unresolved
-            at = [side * e.position[i] if i is not None else np.inf for e, i in ((of.folds, fold), (of.breaks, broken))]
-            first = of.breaks.corrected.u[broken, 0] if at[1] < at[0] else of.folds.corrected.u[fold, 0]
-            if first > self.top:
-                return Outcome.unresolved
-            if broken is not None and at[1] < at[0]:
-                self.put(Slot.breakdown, "breaks", broken)
-                self.broken_at = broken
-                self.last = max(self.last, float(of.breaks.position[broken]))
-                return self.down(line, position, side)
-            if stage == _SNAPS or fold is None:
-                return Outcome.unresolved
-            self.put(Slot.snaps.start + stage, "folds", fold)
-            self.snaps += 1
-            self.last = max(self.last, float(of.folds.position[fold]))
-            landing = self.land(fold, side)
-            if landing is None:
-                return Outcome.no_landing  # on this line
-            self.put(Slot.landings.start + stage, "crossings", landing)
-            load, limit = of.folds.corrected.u[fold, 2], self.limits[0, landing]
-            if abs(load - limit) <= AMBIGUOUS_ON_LINES * limit:
-                return Outcome.unresolved
-            if load >= limit:
-                return Outcome.breakdown_in_snap
-            line, position = int(of.crossings.line[landing]), float(of.crossings.position[landing])
-            side = 1 if of.crossings.corrected.tangent[landing, 2] > 0 else -1
-        return Outcome.unresolved
+    def _put_jumps(self, steps: list[Step], folds: slice, landings: slice) -> None:
+        jumps = [step for step in steps if step.event in (RampEvent.snap, RampEvent.snap_back)]
+        arrivals = [step for step in steps if step.event == RampEvent.landing]
+        if len(jumps) > _SNAPS:
+            raise _NotDecided
+        for slots, those in ((folds, jumps), (landings, arrivals)):
+            for slot, step in enumerate(those, slots.start):
+                self._put(slot, step.at)
 
-    def down(self, line: int, position: float, side: int) -> Outcome:
-        """The way down from the last landing."""
-        of = self.of
-        if not self.snaps:
+    def run(self) -> Outcome:
+        """Follows the way up and returns how it ends; where it survives, also the way down."""
+        try:
+            return self._up()
+        except _NotDecided:
+            return Outcome.unresolved
+
+    def _up(self) -> Outcome:
+        steps = follow(self.lines, self.lines.start, rising=True, most=_SNAPS + 1)
+        self._put_jumps(steps, Slot.snaps, Slot.landings)
+        end = steps[-1]
+        turns = [s.at for s in steps if s.event == RampEvent.snap]
+        self.snaps = len(turns)
+        outcome = ENDS.get(end.reason or "", Outcome.unresolved)
+        if outcome == Outcome.breakdown_on_branch:
+            self._put(Slot.breakdown, end.at)
+            self.broken_at = end.at.event
+            turns = [*turns, end.at]
+        self.last = max((place.position for place in turns), default=0.0)
+        if outcome == Outcome.breakdown_on_branch:
+            self._down(steps)
+        return outcome
+
+    def _down(self, steps: list[Step]) -> None:
+        """The way down from the last landing, if there is one."""
+        landings = [s.at for s in steps if s.event == RampEvent.landing]
+        if not landings:
             self.events[:, Slot.rest] = self.events[:, Slot.start]
-            return Outcome.breakdown_on_branch
+            return
         self.returns = True
-        for stage in range(_SNAPS + 1):
-            fold, zero = self.next("folds", line, position, -side), self.next("zeros", line, position, -side)
-            at = [-side * e.position[i] if i is not None else np.inf for e, i in ((of.folds, fold), (of.zeros, zero))]
-            if zero is not None and at[1] < at[0]:
-                self.put(Slot.rest, "zeros", zero)
-                return Outcome.breakdown_on_branch
-            if fold is None and line == self.main and side > 0:  # back at the start
-                self.events[:, Slot.rest] = self.events[:, Slot.start]
-                return Outcome.breakdown_on_branch
-            if fold is None or stage == _SNAPS:
-                return Outcome.unresolved
-            self.put(Slot.snap_backs.start + stage, "folds", fold)
-            landing = self.land(fold, -side)
-            if landing is None:
-                return Outcome.unresolved
-            self.put(Slot.landings_back.start + stage, "crossings", landing)
-            line, position = int(of.crossings.line[landing]), float(of.crossings.position[landing])
-            side = 1 if of.crossings.corrected.tangent[landing, 2] > 0 else -1
-        return Outcome.unresolved
+        steps = follow(self.lines, landings[-1], rising=False, most=_SNAPS + 1)
+        if steps[-1].reason != "zero voltage":
+            raise _NotDecided
+        self._put_jumps(steps, Slot.snap_backs, Slot.landings_back)
+        self._put(Slot.rest, steps[-1].at)
 
     def fold_ahead(self, fractions: np.ndarray, left: bool) -> FoldAhead:
         """Whether the line of a ramp that breaks without a snap has a fold further on, in the scanned window."""
         if self.broken_at is None or self.snaps:
             return FoldAhead.unknown
-        fold = self.next("folds", self.main, float(self.of.breaks.position[self.broken_at]), 1)
-        reached = np.inf if fold is None else float(self.of.folds.position[fold])
-        if not (reached < self.of.sure[self.main] or np.isinf(self.of.sure[self.main])):
+        lines, of = self.lines, self.lines.of
+        _, fold = lines.next("folds", lines.main, float(of.breaks.position[self.broken_at]), 1)
+        reached = np.inf if fold is None else float(of.folds.position[fold])
+        if not (reached < of.sure[lines.main] or np.isinf(of.sure[lines.main])):
             return FoldAhead.unknown
         if fold is None:
             return FoldAhead.none if left else FoldAhead.unknown
@@ -426,9 +460,8 @@ def ramps_on_lines(
     fractions = of.folds.corrected.u[:, 2] / scene_batch.limits(of.folds.corrected.u[:, 0], fold)[2]
     fractions[of.folds.corrected.u[:, 0] > ends.limits[fold, 1]] = np.inf
     for k in np.flatnonzero(stable).tolist():
-        ramp = _Ramp(of, lists, k, limits, float(ends.limits[k, 1]))
-        ramp.events[:, Slot.start] = begin[k]
-        ended = ramp.up()
+        ramp = _Ramp(_OnLines(of, lists, k, limits, float(ends.limits[k, 1])), begin[k])
+        ended = ramp.run()
         if ended is not Outcome.unresolved and ramp.is_sure():
             all_events[k], outcome[k], snaps[k] = ramp.events, int(ended), ramp.snaps
             ahead[k] = int(ramp.fold_ahead(fractions, bool(ends.left[k])))

@@ -3,9 +3,11 @@
 Words as in the documentation: the way up starts at zero voltage; at a fold the membrane snaps to the state of index 0 at
 the same voltage that is nearest in volume in the direction of the jump; the way down is the same with the voltage falling.
 Under charge control the same is said of the charge, and where the volume is held of the apex stretch for the volume.
+`follow` is this rule, over whatever knows the events along branches: a diagram, or the traced lines of a batch.
 """
 
 import math
+import typing
 
 import numpy as np
 
@@ -13,7 +15,7 @@ from ..model import SCANNED_LOAD, Event, Outcome, PointKind, Ramp, RampEvent, Sp
 from .resolution import MOST_JUMPS, SAME_STRETCH
 from .states import states_of
 
-__all__ = ["ENDS", "build_ramp", "build_way_back", "flat_ramp"]
+__all__ = ["ENDS", "Step", "Stop", "build_ramp", "build_way_back", "flat_ramp", "follow"]
 
 #: why the area strain is taken where it is, and the way of ending that it stands for
 ENDS = {
@@ -22,6 +24,63 @@ ENDS = {
     "no landing": Outcome.no_landing,
     "start_unstable": Outcome.start_unstable,
 }
+
+
+class Stop(typing.NamedTuple):
+    """What a branch comes to as the control rises or falls: the `kind` of the point, the point, and the side of the branch on which it lies.
+
+    The kind is that of a fold of the control, breakdown, or zero voltage; None where the branch leaves the window.
+    """
+
+    kind: PointKind | None
+    at: typing.Any
+    side: float
+
+
+class Step(typing.NamedTuple):
+    """An event of a ramp, where, and why the ramp ends with it. At the window's edge `at` is the `Stop`."""
+
+    event: RampEvent
+    at: typing.Any
+    reason: str | None = None
+
+
+class Branches(typing.Protocol):
+    """What knows the events along branches."""
+
+    def next_stop(self, here, rising: bool) -> Stop:
+        """What the branch comes to from the point `here` as the control rises or falls."""
+        ...
+
+    def landing(self, fold: Stop) -> typing.Any:
+        """The stable state at a fold's control nearest in volume in the direction of the jump, or None."""
+        ...
+
+    def is_broken(self, landing) -> bool:
+        """Whether a landing lies at breakdown or beyond."""
+        ...
+
+
+def follow(branches: Branches, here, rising: bool, most: int = MOST_JUMPS) -> list[Step]:
+    """The events of a ramp from the point `here` as the control rises or falls, up to the one with which it ends."""
+    steps: list[Step] = []
+    jump = RampEvent.snap if rising else RampEvent.snap_back
+    for _ in range(most):
+        stop = branches.next_stop(here, rising)
+        if stop.kind is None:
+            return [*steps, Step(RampEvent.end, stop, "window")]
+        if stop.kind == PointKind.breakdown:
+            return [*steps, Step(RampEvent.breakdown, stop.at, "breakdown on the branch")]
+        if stop.kind == PointKind.zero_voltage:
+            return [*steps, Step(RampEvent.end, stop.at, "zero voltage")]
+        steps.append(Step(jump, stop.at))
+        here = branches.landing(stop)
+        if here is None:
+            return [*steps, Step(RampEvent.no_landing, stop.at, "no landing")]
+        steps.append(Step(RampEvent.landing, here))
+        if rising and branches.is_broken(here):
+            return [*steps, Step(RampEvent.breakdown, here, "breakdown in the snap")]
+    return [*steps, Step(RampEvent.end, steps[-2].at, "too many jumps")]
 
 
 def _control_of(solved, state: State) -> float:
@@ -33,90 +92,60 @@ def _strain(state: State, start: State) -> float:
     return (state.apex_stretch / start.apex_stretch) ** 2 - 1
 
 
-def _walk(solved, here, rising: bool):
-    """Events along the branch of `here` with the control rising or falling: the next fold, breakdown, zero, or None.
+class _OfDiagram:
+    """The branches of a diagram, its special points and the states at its folds' controls."""
 
-    Returns (kind, located or None, side): side is the direction in arclength.
-    """
-    curve = solved.curves[here.branch]
-    slope = here.point.control_slope(solved.control)[0]
-    side = 1.0 if (slope > 0) == rising else -1.0
-    ahead = [
-        p
-        for p in solved.located
-        if p.branch == here.branch and (p.position - here.position) * side > 1e-9 * (1 + abs(here.position))
-    ]
-    closed = curve.start.name == "closed"
-    ahead.sort(key=lambda p: (p.position - here.position) * side)
-    if closed:
-        behind = [p for p in solved.located if p.branch == here.branch and p not in ahead and p is not here]
-        ahead += sorted(behind, key=lambda p: p.position * side)
-    stops = (solved.fold_kind, PointKind.breakdown if rising else PointKind.zero_voltage)
-    for p in ahead:
-        if p.kind in stops and p is not here:
-            return p.kind, p, side
-    return "window", None, side
+    def __init__(self, solved):
+        self.solved = solved
 
+    def next_stop(self, here, rising: bool) -> Stop:
+        """The next fold, breakdown or zero voltage along the branch of `here`; the side is the direction in arclength."""
+        solved, curve = self.solved, self.solved.curves[here.branch]
+        slope = here.point.control_slope(solved.control)[0]
+        side = 1.0 if (slope > 0) == rising else -1.0
+        near = 1e-9 * (1 + abs(here.position))
+        on_branch = [p for p in solved.located if p.branch == here.branch]
+        ahead = [p for p in on_branch if (p.position - here.position) * side > near]
+        ahead.sort(key=lambda p: (p.position - here.position) * side)
+        if curve.start.name == "closed":
+            behind = [p for p in on_branch if p not in ahead and p is not here]
+            ahead += sorted(behind, key=lambda p: p.position * side)
+        stops = (solved.fold_kind, PointKind.breakdown if rising else PointKind.zero_voltage)
+        for p in ahead:
+            if p.kind in stops and p is not here:
+                return Stop(p.kind, p, side)
+        return Stop(None, here, side)
 
-def _end_of(solved, here, side) -> State:
-    points = solved.curves[here.branch].points
-    return states_of(points.take(np.array([len(points) - 1 if side > 0 else 0])), solved.tolerance)[0]
+    def landing(self, fold: Stop):
+        """It lies in the scanned window, t ≤ 0.9: beyond, branches are followed only as far as their errors allow."""
+        solved, at = self.solved, fold.at
+        curve = solved.curves[at.branch]
+        i = int(np.clip(np.searchsorted(curve.position, at.position), 1, len(curve.position) - 1))
+        direction = fold.side * np.sign(np.diff(curve.points.place(solved.solver.condition)[i - 1 : i + 1])[0])
+        material, found = solved.solver.membrane.material, []
+        for other in solved.states_at(solved.control_at(at)):
+            jump = (solved.place(other) - solved.place(at)) * direction
+            same = other.branch == at.branch and abs(other.position - at.position) < 1e-4
+            scanned = other.point.u[2, 0] <= SCANNED_LOAD * largest_load(material, other.point.u[0])[0]
+            if jump > 0 and not same and other.point.index[0] == 0 and scanned:
+                found.append((jump, other))
+        return min(found, key=lambda f: f[0])[1] if found else None
 
+    def is_broken(self, landing) -> bool:
+        return self.solved.state(landing).breakdown_ratio >= 1
 
-def _land(solved, fold, side):
-    """The index-0 state at the fold's control nearest in volume in the direction of the jump, or None.
+    def state(self, step: Step) -> State:
+        """The record of the state of a step; where the branch leaves the window, its last."""
+        if not isinstance(step.at, Stop):
+            return self.solved.state(step.at)
+        points = self.solved.curves[step.at.at.branch].points
+        end = np.array([len(points) - 1 if step.at.side > 0 else 0])
+        return states_of(points.take(end), self.solved.tolerance)[0]
 
-    It lies in the scanned window, t ≤ 0.9: beyond, branches are followed only as far as their errors allow.
-    """
-    curve = solved.curves[fold.branch]
-    i = int(np.clip(np.searchsorted(curve.position, fold.position), 1, len(curve.position) - 1))
-    direction = side * np.sign(np.diff(curve.points.place(solved.solver.condition)[i - 1 : i + 1])[0])
-    found = []
-    for other in solved.states_at(solved.control_at(fold)):
-        jump = (solved.place(other) - solved.place(fold)) * direction
-        same = other.branch == fold.branch and abs(other.position - fold.position) < 1e-4
-        scanned = (
-            other.point.u[2, 0] <= SCANNED_LOAD * largest_load(solved.solver.membrane.material, other.point.u[0])[0]
-        )
-        if jump > 0 and not same and other.point.index[0] == 0 and scanned:
-            found.append((jump, other))
-    return min(found, key=lambda f: f[0])[1] if found else None
-
-
-def _follow(solved, here, rising: bool, events: list, direction: str):
-    """Walks from `here` until the ramp ends; appends events. Returns (last held state, reason, last landing, located)."""
-    held = solved.state(here)
-    last = here
-    landing = None
-    jump = RampEvent.snap if rising else RampEvent.snap_back
-    for _ in range(MOST_JUMPS):
-        kind, stop, side = _walk(solved, last, rising)
-        if kind == "window":
-            state = _end_of(solved, last, side)
-            events.append(Event(RampEvent.end, direction, state, "window"))
-            return state, "window", landing, last
-        state = solved.state(stop)
-        if kind == PointKind.breakdown:
-            events.append(Event(RampEvent.breakdown, direction, state, "breakdown on the branch"))
-            return state, "breakdown on the branch", landing, last
-        if kind == PointKind.zero_voltage:
-            events.append(Event(RampEvent.end, direction, state, "zero voltage"))
-            return state, "zero voltage", landing, last
-        held = state
-        events.append(Event(jump, direction, state))
-        landed = _land(solved, stop, side)
-        if landed is None:
-            events.append(Event(RampEvent.no_landing, direction, state, "no landing"))
-            return held, "no landing", landing, None
-        state = solved.state(landed)
-        events.append(Event(RampEvent.landing, direction, state))
-        landing = state
-        if rising and state.breakdown_ratio >= 1:
-            events.append(Event(RampEvent.breakdown, direction, state, "breakdown in the snap"))
-            return held, "breakdown in the snap", landing, None
-        last = landed
-    events.append(Event(RampEvent.end, direction, held, "too many jumps"))
-    return held, "too many jumps", landing, None
+    def events(self, direction: str, start, steps: list[Step]) -> list[Event]:
+        """The events of a ramp from `start`."""
+        first = Event(RampEvent.start, direction, self.solved.state(start))
+        return [first, *(Event(step.event, direction, self.state(step), step.reason) for step in steps)]
 
 
 def build_ramp(solved, initial_volume: float | None) -> tuple[Ramp, Ramp | None]:
@@ -135,30 +164,34 @@ def build_ramp(solved, initial_volume: float | None) -> tuple[Ramp, Ramp | None]
     first = solved.state(start)
     if first.index != 0:
         return Ramp((Event(RampEvent.start, "up", first, "start_unstable"),), None, "start_unstable"), None
-    events = [Event(RampEvent.start, "up", first)]
-    state, reason, landing, last = _follow(solved, start, True, events, "up")
-    up = Ramp(tuple(events), _strain(state, first), reason)
-    down = None
-    if last is not None:
-        begin = landing or first
-        first, last_held = (_control_of(solved, s) for s in (begin, events[-1].state))
-        middle = (first + last_held) / 2
-        if math.isfinite(middle) and middle > first:
-            _, _, side = _walk(solved, last, True)
-            ahead = [
-                p
-                for p in solved.states_at(middle**2)
-                if p.branch == last.branch and (p.position - last.position) * side > 0
-            ]
-            if ahead:
-                down = _way_back(solved, min(ahead, key=lambda p: (p.position - last.position) * side))
-    return up, down
+    branches = _OfDiagram(solved)
+    steps = follow(branches, start, rising=True)
+    events = branches.events("up", start, steps)
+    end, jumps = events[-1], [e for e in events if e.event == RampEvent.snap]
+    held = end.reason in ("window", "breakdown on the branch", "zero voltage")
+    last_held = end if held else jumps[-1]
+    up = Ramp(tuple(events), _strain(last_held.state, first), end.reason)
+    landings = [i for i, step in enumerate(steps) if step.event == RampEvent.landing]
+    last = steps[landings[-1]].at if landings else start
+    return up, _way_down(branches, last, events[-1].state) if held else None
 
 
-def _way_back(solved, here) -> Ramp:
-    events = [Event(RampEvent.start, "down", solved.state(here))]
-    _follow(solved, here, False, events, "down")
-    return Ramp(tuple(events))
+def _way_down(branches: _OfDiagram, last, end: State) -> Ramp | None:
+    """The way down from halfway in the control between the last landing (else the start) and the end of the way up."""
+    solved = branches.solved
+    first, final = (_control_of(solved, s) for s in (solved.state(last), end))
+    middle = (first + final) / 2
+    if not (math.isfinite(middle) and middle > first):
+        return None
+    side = branches.next_stop(last, True).side
+    ahead = [
+        p for p in solved.states_at(middle**2) if p.branch == last.branch and (p.position - last.position) * side > 0
+    ]
+    return _way_back(branches, min(ahead, key=lambda p: (p.position - last.position) * side)) if ahead else None
+
+
+def _way_back(branches: _OfDiagram, here) -> Ramp:
+    return Ramp(tuple(branches.events("down", here, follow(branches, here, rising=False))))
 
 
 def build_way_back(solved, start: State) -> Ramp:
@@ -176,7 +209,7 @@ def build_way_back(solved, start: State) -> Ramp:
     ]
     if not near:
         raise ValueError(f"`start` must be an equilibrium of this diagram, but is {start!r}.")
-    return _way_back(solved, near[0])
+    return _way_back(_OfDiagram(solved), near[0])
 
 
 def flat_ramp(special: list[SpecialPoint], last: State) -> Ramp:
