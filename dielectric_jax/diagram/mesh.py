@@ -4,7 +4,6 @@ import dataclasses
 from collections.abc import Callable
 
 import numpy as np
-from scipy.optimize import root_scalar
 
 from ..model import SCALE, SCANNED_LOAD, Points, largest_load, load_fraction, locking_stretch
 from ..numerics import Code
@@ -75,16 +74,14 @@ def clip_to_window(line, tangents, inside, end):
     if inside(line[end] * SCALE) >= 0:
         return
     inner = -2 if end == -1 else 1
+    low, high = 0.0, 1.0
     gap = np.linalg.norm(line[end] - line[inner])
     sign = 1.0 if end == -1 else -1.0
-
-    def at(share):
-        return hermite(line[inner], line[end], sign * tangents[inner], sign * tangents[end], gap, share)
-
-    low = root_scalar(lambda share: inside(at(share) * SCALE), bracket=(0.0, 1.0), xtol=1e-14).root
-    while low > 0 and inside(at(low) * SCALE) < 0:
-        low = max(0.0, low - max(1e-14, 1e-10 * low))
-    line[end] = at(low)
+    for _ in range(50):
+        middle = (low + high) / 2
+        at = hermite(line[inner], line[end], sign * tangents[inner], sign * tangents[end], gap, middle)
+        low, high = (middle, high) if inside(at * SCALE) >= 0 else (low, middle)
+    line[end] = hermite(line[inner], line[end], sign * tangents[inner], sign * tangents[end], gap, low)
     tangents[end] = (1 - low) * tangents[inner] + low * tangents[end]
     tangents[end] /= np.linalg.norm(tangents[end])
 

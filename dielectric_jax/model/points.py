@@ -15,7 +15,7 @@ import jax
 import numpy as np
 
 from ..numerics import lanes_of_a_call, run_lanes
-from .corrector import GridChange, estimated_error
+from .corrector import GridChange, estimated_error, rim_rounding
 from .kinds import ClosingEquation
 from .loading import ConstantVoltage, LoadingCondition
 from .membrane import Membrane
@@ -223,7 +223,7 @@ class _Climb:
             self.u[:, working] += move.T
             self.volume[working] = volume + np.einsum("il,li->l", self.sensitivities[:, 1][:, working], move)
             # height and charge are not moved along; what the next chord step would move is smaller by the Jacobian's error
-            moved = np.max(np.abs(move) / np.maximum(np.abs(self.u[:, working].T), 1e-3), axis=1)
+            moved = np.max(np.abs(move) / self._sizes(working), axis=1)
             chord = moved * CONTRACTION[self.level]
             again = ~((moved <= tolerance) & (chord <= 0.01 * tolerance))
             if round_ == 0 and not last:
@@ -236,11 +236,17 @@ class _Climb:
                 break
         self.change.residual[active] = np.abs(first[active])
 
+    def _sizes(self, which) -> np.ndarray:
+        """By what moves (lanes, 3) are relative: λa − λ0, of which p is a function, and p and q."""
+        apex, pressure, load = self.u[:, which]
+        rise = np.abs(apex - float(self.membrane.prestretch))
+        return np.stack([rise, *(np.maximum(np.abs(v), 1e-3) for v in (pressure, load))], axis=1)
+
     def _estimate_errors(self, which) -> None:
-        volume, change = self.volume[which], GridChange(*(v[which] for v in self.change))
+        u, volume, change = self.u[:, which], self.volume[which], GridChange(*(v[which] for v in self.change))
         linear = self.matrix[which, :2], self.sensitivities[..., which]
-        slope, rim = self.condition.slopes(volume)[1], float(self.membrane.prestretch)
-        self.estimate[which] = estimated_error(self.u[:, which], volume, *linear, change, slope, rim, self.chord[which])
+        slope, rounding = self.condition.slopes(volume)[1], np.asarray(rim_rounding(self.membrane, u))
+        self.estimate[which] = estimated_error(u, volume, *linear, change, slope, rounding, self.chord[which])
 
     def _measure_charge(self, points: Points, which, steps) -> None:
         """The derivatives of C on a grid, where the charge is controlled."""

@@ -78,7 +78,9 @@ TURNS = 6
 LARGEST_MOVE = 0.5
 # last move of Newton whose remainder a chord step on the finer grid removes
 SETTLED = 3e-4
-# the same at folds, where the secant converges more slowly
+# last move of Newton by λa − λ0 and by p, where a single state has converged; benchmarks/acceptance/hard_cases.py, case 10
+SETTLED_SHARE = 1e-4
+# the largest last move at folds, where the secant converges more slowly
 SETTLED_FOLD = 1e-4
 # distance of points whose tangents show how fast q turns
 TANGENTS_APART = 1e-5
@@ -114,7 +116,7 @@ SAFETY = 16.0
 LEAST_ESTIMATE = 1e-13
 # rounding error of a shot, relative to λa − λ0, p and V; measured (benchmarks/acceptance/error_honesty.py covers it)
 ROUNDING = 5e-15
-# rounding of the stretch itself, relative to λa: about one unit in the last place
+# rounding of the stretch itself, relative to λa and to √(1 − t): about one unit in the last place; hard_cases.py, case 10
 FEW_ULPS = 2e-16
 
 # --- chart and scan ---

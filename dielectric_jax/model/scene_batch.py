@@ -23,6 +23,7 @@ from .resolution import (
     NEWTON_ROUNDS,
     SCALE,
     SETTLED,
+    SETTLED_SHARE,
     SPLIT,
     STRETCHES_TOGETHER,
     TURNS,
@@ -159,7 +160,7 @@ class SceneBatch:
         return self._correct(which, *_begin(u, rows, targets, kinds), NEWTON_ROUNDS[0], tolerance, reach)
 
     def newton(self, which, u, rows, targets, kinds, *, steps: tuple, reach: float) -> tuple[Linearised, np.ndarray]:
-        """Newton alone on grids of `steps`, as often as it goes on: its states, and which of them have converged.
+        """Newton alone on grids of `steps`, then on the last of them while it goes on: its states, and which have converged.
 
         `reach` bounds the distance from u in scaled unknowns.
         """
@@ -168,14 +169,18 @@ class SceneBatch:
         converged = np.zeros(len(which), bool)
         found = self._newton(which, start, goals, active, steps)
         for turn in range(TURNS):
-            at = self._newton(which, start, goals, active, steps) if turn else jax.tree.map(np.copy, found)
+            grids = (steps[-1],) * len(steps)
+            at = self._newton(which, start, goals, active, grids) if turn else jax.tree.map(np.copy, found)
             for store, values in zip(found, at, strict=True):
                 store[..., active] = values
             start.u[:, active] = at.u
             with np.errstate(invalid="ignore"):
                 near = np.linalg.norm((at.u.T - u[active]) / SCALE, axis=1) <= reach
                 size = np.linalg.norm(at.move, axis=0)
-                converged[active] = near & (size < SETTLED)
+                # towards the flat state the equations bend at the scale of λa − λ0 and p themselves
+                room = np.stack([at.u[0] - self.membrane.prestretch, at.u[1]])
+                share = np.max(np.abs(at.move[:2] * SCALE[:2, None] / room), axis=0)
+                converged[active] = near & (size < SETTLED) & (share < SETTLED_SHARE)
                 going = near & ~converged[active] & (size < last[active])
             last[active] = size
             active = active[going]
