@@ -17,8 +17,8 @@ from benchmarks import harness
 from benchmarks.explicit import in_chunks
 from benchmarks.random_scenes import loaded_states
 from benchmarks.truth import extended_precision as truth
-from dielectric_jax.model.points import corrected_points
 from dielectric_jax.model.loading import LoadingCondition
+from dielectric_jax.model.points import corrected_points
 
 jax.config.update("jax_enable_x64", True)
 dj.enable_compilation_cache()
