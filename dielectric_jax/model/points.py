@@ -1,6 +1,6 @@
 """Points of one membrane under one loading, made exact, with every quantity of a state.
 
-`SceneBatch` finds them by Newton on a coarse grid; then the residual alone is taken on finer grids (deferred correction),
+`SceneBatch` finds them by Newton on two coarse grids; then the residual alone is taken on finer grids (deferred correction),
 doubling the steps until the estimate meets the tolerance, at last adaptively. Height, charge and what is least or largest
 along the membrane come with the residual.
 """
@@ -134,7 +134,7 @@ def corrected_points(
 
 
 class _Climb:
-    """States that Newton has found on the first of a sequence of grids, moved by the residuals on the finer ones.
+    """States that Newton has found on the coarse grids of one difficulty, moved by the residuals on its finer ones.
 
     The chord steps take Newton's Jacobian: `matrix` (lanes, 3, 3) of rim condition, loading and goal, `sensitivities`
     (3, 2, lanes). `change` is what the last finer grid changed, `chord` what the chord steps leave, relative.
