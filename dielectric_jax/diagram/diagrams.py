@@ -21,6 +21,7 @@ from ..model import (
     Ramp,
     Scene,
     Shooting,
+    ShootingMethod,
     SpecialPoint,
     State,
     Units,
@@ -33,6 +34,7 @@ from ..model import (
     mechanical,
     plain,
     points_table,
+    shooting_of,
 )
 from ..numerics import Code, SceneError
 from ..plot import plot_diagram
@@ -195,9 +197,9 @@ def _branch(curve: Curve, tolerance: float, points: int, more_flags: tuple) -> B
     return Branch(**columns, start=curve.start, end=curve.end, flags=curve.flags + more_flags)
 
 
-def _solver(membrane: Membrane, condition: LoadingCondition, surface: Surface | None) -> Shooting | OnSurface:
+def _solver(membrane: Membrane, condition: LoadingCondition, surface, method) -> Shooting | OnSurface:
     """The engine of a diagram."""
-    return Shooting(membrane, condition) if surface is None else OnSurface(surface, condition)
+    return shooting_of(membrane, condition, method) if surface is None else OnSurface(surface, condition)
 
 
 def _solve(solver, limits, kinds, points, tolerance, certify: bool, extend: bool) -> tuple[Solved, bool]:
@@ -221,11 +223,12 @@ def pressure_volume(
     surface: Surface | None = None,
     certify: bool = True,
     extend: bool = True,
+    method: ShootingMethod | None = None,
 ) -> Diagram:
     """The pressure–volume curve of a membrane at a fixed voltage: branches and folds in pressure.
 
-    Arguments: `voltage` Φ in units of H√(μ/ε); `points` a branch; `tolerance` of the error estimate; `surface`, `certify`
-    and `extend` as in `voltage_volume`.
+    Arguments: `voltage` Φ in units of H√(μ/ε); `points` a branch; `tolerance` of the error estimate; `surface`, `certify`,
+    `extend` and `method` as in `voltage_volume`.
     Raises ValueError for bad input and SceneError where no tensile equilibrium lies in the window.
 
     >>> curve = pressure_volume(Membrane(), voltage=0.0)
@@ -235,9 +238,9 @@ def pressure_volume(
     check_request(points, tolerance)
     scene = Scene(membrane, ConstantVoltage(voltage), window or Window())
     check_concrete(scene)
-    check_surface(surface, membrane)
+    check_surface(surface, membrane, method)
     kinds = (PointKind.pressure_fold, PointKind.breakdown, PointKind.hoop_tension_loss)
-    solver = _solver(membrane, scene.loading.condition(), surface)
+    solver = _solver(membrane, scene.loading.condition(), surface, method)
     warm_up(membrane)
     solved, complete = _solve(solver, scene.limits(), kinds, points, tolerance, certify, extend)
     return _diagram("pressure-volume", scene, solved, complete, points, voltage=float(voltage))
@@ -251,6 +254,7 @@ def voltage_volume(
     surface: Surface | None = None,
     certify: bool = True,
     extend: bool = True,
+    method: ShootingMethod | None = None,
 ) -> Diagram:
     """The voltage–volume diagram of a membrane under a loading, with its special points and ramp.
 
@@ -259,7 +263,8 @@ def voltage_volume(
     Arguments: `points` a branch; `tolerance` of the error estimate, from 1e-12 to 1e-3. With a `surface` of the scene's
     membrane, branches are contours on it, found by Newton without stepping; where they leave its domain shooting goes on,
     or with `extend=False` they end there. `certify` corrects special points by shooting; the correction is part of their
-    error. Both mean nothing without a surface.
+    error. Both mean nothing without a surface. A `method` makes the states exact by a solver, step size controller and root
+    finder of your own; how far they are from ours is part of the error, so `tolerance` must be as wide as they are exact.
     Raises ValueError for bad input and SceneError where no tensile equilibrium lies in the window.
 
     >>> from dielectric_jax import Chamber
@@ -277,17 +282,17 @@ def voltage_volume(
     loading = scene.loading
     if isinstance(loading, ConstantVoltage):
         raise ValueError("`loading` must not hold the voltage here, but is a ConstantVoltage; see pressure_volume.")
-    check_surface(surface, scene.membrane)
+    check_surface(surface, scene.membrane, method)
     if surface is not None and isinstance(loading, ChargeControl):
         raise ValueError("`surface` must be left out under charge control, which continuation follows.")
     limits = scene.limits()
     warm_up(scene.membrane)
-    filling = filling_of(scene, tolerance)
+    filling = filling_of(scene, tolerance, method)
     if filling == (0.0, 0.0):
         return _flat_diagram(scene, limits, points, tolerance)
     fold = PointKind.charge_fold if isinstance(loading, ChargeControl) else PointKind.fold
     kinds = (fold, PointKind.zero_voltage, PointKind.breakdown, PointKind.hoop_tension_loss)
-    solver = _solver(scene.membrane, loading.condition(*filling), surface)
+    solver = _solver(scene.membrane, loading.condition(*filling), surface, method)
     try:
         solved, complete = _solve(solver, limits, kinds, points, tolerance, certify, extend)
     except SceneError:

@@ -17,12 +17,13 @@ from ..model import (
     Points,
     PrescribedVolume,
     Scene,
+    Shooting,
+    ShootingMethod,
     State,
     Window,
     as_scalar,
     cached_scan,
     capacitance,
-    corrected_points,
     field_on,
     is_concrete,
     largest_load,
@@ -30,6 +31,7 @@ from ..model import (
     mechanical,
     other_loading,
     require_float64,
+    shooting_of,
     stretch_shares,
     voltage_of,
 )
@@ -48,7 +50,9 @@ def check_request(points: int, tolerance: float) -> None:
     require_float64()
 
 
-def check_surface(surface, membrane: Membrane) -> None:
+def check_surface(surface, membrane: Membrane, method: ShootingMethod | None = None) -> None:
+    if surface is not None and method is not None:
+        raise ValueError("`method` must be left out with a surface, on which nothing is integrated.")
     if surface is not None and not (isinstance(surface, Surface) and surface.belongs_to(membrane)):
         raise ValueError(f"`surface` must be built for the membrane of the scene, but is {surface!r}.")
 
@@ -95,7 +99,7 @@ def flat_state(membrane: Membrane, q: float) -> State:
     return State(q, 0.0, 0.0, stretch, 0.0, charge, ratio, 0, 1e-13)
 
 
-def filling(scene: Scene, tolerance: float) -> tuple[float | None, float | None]:
+def filling(scene: Scene, tolerance: float, method: ShootingMethod | None = None) -> tuple[float | None, float | None]:
     """(p_0, V_0) of a chamber at zero voltage, (0, 0) for a flat film, (None, None) without a chamber."""
     loading, membrane = mechanical(scene.loading), scene.membrane
     if isinstance(loading, ConstantPressure):
@@ -116,7 +120,7 @@ def filling(scene: Scene, tolerance: float) -> tuple[float | None, float | None]
         return None, None
     name = "initial_volume" if loading.initial_volume is not None else "initial_pressure"
     wanted = float(getattr(loading, name))
-    filled = _filled_state(membrane, name.removeprefix("initial_"), wanted, tolerance)
+    filled = _filled_state(membrane, name.removeprefix("initial_"), wanted, tolerance, method)
     if filled is None:
         if too_flat(membrane, name.removeprefix("initial_"), wanted):
             raise SceneError(Code.near_flat)
@@ -139,7 +143,9 @@ def _zero_load_line(membrane: Membrane):
     return chart.apex_stretch, pressure, volume
 
 
-def _filled_state(membrane: Membrane, quantity: str, wanted: float, tolerance: float) -> tuple[float, float] | None:
+def _filled_state(
+    membrane: Membrane, quantity: str, wanted: float, tolerance: float, method: ShootingMethod | None
+) -> tuple[float, float] | None:
     """p and V of the state of smallest volume at zero voltage with the wanted pressure or volume."""
     apex, pressure, volume = _zero_load_line(membrane)
     value = np.log((pressure if quantity == "pressure" else volume) / wanted)
@@ -147,15 +153,12 @@ def _filled_state(membrane: Membrane, quantity: str, wanted: float, tolerance: f
     if len(crossing) and not _touches(value[: crossing[0] + 1]):
         guess = _crossing_state(apex, pressure, value, float(membrane.prestretch), int(crossing[0]))
         row = [[np.nan] * 3] if quantity == "volume" else [[0.0, 1.0, 0.0]]
-        condition = ConstantVoltage(0.0).condition()
-        found = corrected_points(
-            *(membrane, condition, np.array(guess), np.array(row), np.array([wanted])),
-            tolerance=tolerance / 100,
-        )
+        engine = shooting_of(membrane, ConstantVoltage(0.0).condition(), method)
+        found = engine.corrected_points(np.array(guess), np.array(row), np.array([wanted]), tolerance=tolerance / 100)
         if found.ok[0] and found.error[0] <= tolerance:
             return float(found.u[1, 0]), float(found.volume[0])
     try:  # near the peak of the pressure, or at the window's edge: the fine search
-        state = equilibrium(membrane, voltage=0.0, tolerance=tolerance, **{quantity: wanted})  # pyright: ignore[reportArgumentType]
+        state = equilibrium(membrane, voltage=0.0, tolerance=tolerance, method=method, **{quantity: wanted})  # pyright: ignore[reportArgumentType]
     except (SceneError, ValueError):
         return None
     return state.pressure, state.volume
@@ -203,11 +206,13 @@ def equilibrium(
     tolerance: float = 1e-9,
     window: Window | None = None,
     surface: Surface | None = None,
+    method: ShootingMethod | None = None,
 ) -> typing.Any:
     """The equilibrium at a voltage and one of pressure, volume or apex stretch: the one of smallest volume, stable or not.
 
     With `all=True` a list of every one in the window up to t = 0.9997, ordered by volume: beyond, folds go on without end. The index is that of prescribed pressure. A
     `surface` of the membrane gives the starts inside its domain, which shooting makes exact; the explicit map the others.
+    A `method` makes them exact by a solver, step size controller and root finder of your own, see `model.ShootingMethod`.
     Raises ValueError for bad input and SceneError where there is none.
 
     >>> state = equilibrium(Membrane(), voltage=0.0, volume=2.42)
@@ -239,13 +244,14 @@ def equilibrium(
         return _flat_equilibrium(membrane, voltage, all)
     condition = scene.loading.condition()
     check_surface(surface, membrane)
+    engine = shooting_of(membrane, condition, method)
     found, extremes = _starts(membrane, voltage**2, name, wanted, limits, surface)
-    results = [_beside_extreme(membrane, condition, extreme, name, wanted, tolerance) for extreme in extremes]
+    results = [_beside_extreme(engine, extreme, name, wanted, tolerance) for extreme in extremes]
     if found.size:
         rows = {"apex_stretch": [1.0, 0, 0], "pressure": [0, 1.0, 0], "volume": [np.nan] * 3}[name]
         lanes = found.shape[1]
         plane = np.tile(rows, (lanes, 1)), np.full(lanes, wanted)
-        results.append(corrected_points(membrane, condition, found, *plane, tolerance=tolerance, reach=1.0))
+        results.append(engine.corrected_points(found, *plane, tolerance=tolerance, reach=1.0))
     states, vague = _distinct_states(membrane, results, tolerance)
     if not states:
         if name == "volume":
@@ -283,7 +289,7 @@ def check_reachable(membrane: Membrane, volume: float) -> None:
         raise SceneError(Code.near_flat)
 
 
-def _beside_extreme(membrane, condition, extreme, name: str, wanted: float, tolerance: float) -> Points:
+def _beside_extreme(engine: Shooting, extreme, name: str, wanted: float, tolerance: float) -> Points:
     """The two states, or none, whose p or V is very near an extreme on a line of the chart.
 
     There the value tells λa badly, but λa the value well: exact states at seven stretches give a polynomial, its roots the
@@ -293,9 +299,7 @@ def _beside_extreme(membrane, condition, extreme, name: str, wanted: float, tole
 
     def exact(apex):
         u = np.stack([apex, np.full(len(apex), pressure), np.full(len(apex), load)])
-        return corrected_points(
-            membrane, condition, u, np.tile([1.0, 0, 0], (len(apex), 1)), apex, tolerance=tolerance / 100
-        )
+        return engine.corrected_points(u, np.tile([1.0, 0, 0], (len(apex), 1)), apex, tolerance=tolerance / 100)
 
     x = np.cos(np.pi * (np.arange(7) + 0.5) / 7)
     points = exact(top + reach * x)

@@ -46,6 +46,7 @@ from .resolution import CHUNK, GRIDS, LEAST_ESTIMATE, LOAD_PANELS, MOST_STEPS, S
 from .scene import Scene, Window, describe, pair
 from .scene_batch import LANES, Corrected, SceneBatch, calls, difficulty, load_fraction, locking_stretch, padded, pick
 from .shooting import UNKNOWNS, eighth_order_step, integrate_membrane, rim_with_sensitivities, shoot
+from .shooting_method import ShootingMethod, shooting_of
 from .stability import Stability, stability_of
 from .units import VACUUM_PERMITTIVITY, VHB_4910, Units
 
@@ -102,6 +103,7 @@ __all__ = [
     "Scene",
     "SceneBatch",
     "Shooting",
+    "ShootingMethod",
     "SpecialPoint",
     "Stability",
     "State",
@@ -147,6 +149,7 @@ __all__ = [
     "rim_with_sensitivities",
     "scaling_defect",
     "shoot",
+    "shooting_of",
     "slopes",
     "stability_of",
     "stresses",

@@ -120,13 +120,19 @@ def integrate(
     *,
     trail: Callable | None = None,
     adaptive: bool = False,
+    method: typing.Any = None,
 ):
     """y(1) of dy/dτ = field(τ, y), y(0) = start, and `trail(τ, y)` after every step (padded with inf).
 
-    Eighth-order Dormand–Prince; `steps` equal steps, or with `adaptive` a PID controller at tolerance 10^-steps.
+    Eighth-order Dormand–Prince; `steps` equal steps, or with `adaptive` a PID controller at tolerance 10^-steps; or the
+    solver and the step size controller of a `ShootingMethod`.
     """
     controller: dfx.AbstractStepSizeController
-    if adaptive:
+    solver: dfx.AbstractSolver = dfx.Dopri8(scan_kind="lax") if adaptive else EighthOrder()
+    most = MOST_ADAPTIVE_STEPS if adaptive else MOST_STEPS + 1
+    if method is not None:
+        solver, controller, most = method.solver, method.stepsize_controller, method.max_steps
+    elif adaptive:
         tolerance = 10.0 ** (-jnp.asarray(steps, float))
         controller = dfx.PIDController(
             rtol=tolerance, atol=tolerance, norm=lambda y: jnp.max(jnp.abs(y)), dtmax=0.05, factormax=2.0
@@ -138,15 +144,15 @@ def integrate(
         subs.append(dfx.SubSaveAt(t0=True, steps=True, fn=lambda t, y, args: (t, trail(y))))
     solution = dfx.diffeqsolve(
         dfx.ODETerm(lambda t, y, args: field(t, y)),
-        dfx.Dopri8(scan_kind="lax") if adaptive else EighthOrder(),
+        solver,
         0.0,
         1.0,
-        None,
+        None if method is None else method.dt0,
         start,
         saveat=dfx.SaveAt(subs=subs),
         adjoint=dfx.ForwardMode(),
         stepsize_controller=controller,
-        max_steps=MOST_STEPS + 1 if not adaptive else MOST_ADAPTIVE_STEPS,
+        max_steps=most,
         throw=False,
     )
     assert solution.ys is not None
@@ -327,14 +333,15 @@ def integrate_membrane(
     trail: str | None = None,
     heights: bool = False,
     adaptive: bool = False,
+    method: typing.Any = None,
     start: float = SERIES_RADIUS,
 ) -> Shot:
     """One integration from apex to rim at R = 1.
 
     `sensitivities` lists the wanted derivatives: names of `UNKNOWNS`, or the index of a leaf of `material`. `outputs` adds
     height and charge to the state and to the derivatives, `trail` the values after every step: "sensitivity", "profile"
-    (with z as its last entry where `heights` is asked for), the whole "states", or "all" with the columns. `start` is where
-    the apex series hands over, as a share of A.
+    (with z as its last entry where `heights` is asked for), the whole "states", or "all" with the columns. A `ShootingMethod`
+    replaces the stepping, and `steps` then mean nothing. `start` is where the apex series hands over, as a share of A.
     """
     inputs = jnp.broadcast_arrays(*(jnp.asarray(v, float) for v in (apex_stretch, pressure, q)))
     kappa = jax.lax.stop_gradient(apex_series(material, *inputs)[2])
@@ -349,7 +356,9 @@ def integrate_membrane(
         radius, stretching = position(tau)
         return stretching * system.rates(radius, y)
 
-    end, marks = integrate(field, system.start(), steps, trail=system.recorded(trail, heights), adaptive=adaptive)
+    end, marks = integrate(
+        field, system.start(), steps, trail=system.recorded(trail, heights), adaptive=adaptive, method=method
+    )
     found = system.sensitivities(end, "pressure" in sensitivities)
     if marks is not None and trail != "sensitivity":
         marks = (*marks, Along(position, inputs[0]))
