@@ -24,6 +24,7 @@ from .resolution import (
     ADAPTIVE,
     CHUNK,
     CONTRACTION,
+    FEW_ULPS,
     GRIDS,
     HOPELESS,
     MOST_KINDS,
@@ -148,7 +149,7 @@ class _Climb:
         self.batch, self.scene = SceneBatch.of_one(membrane, condition), np.zeros(lanes, int)
         kinds = np.where(self.by_volume, ClosingEquation.volume, ClosingEquation.level)
         goals = np.nan_to_num(self.rows), self.targets, kinds
-        self.at, self.settled = self.batch.newton(self.scene, u.T, *goals, steps=GRIDS[level][0], reach=2 * reach)
+        self.at, self.settled = self.batch.newton(self.scene, u.T, *goals, level=level, reach=2 * reach)
         self.u, self.volume, self.sensitivities = self.at.u, self.at.volume, self.at.sensitivities
         self.matrix = np.moveaxis(self.at.matrix / SCALE[:, None], -1, 0)
         self.height, self.charge, self.hoop, self.field = (np.full(lanes, np.nan) for _ in range(4))
@@ -239,7 +240,7 @@ class _Climb:
     def _sizes(self, which) -> np.ndarray:
         """By what moves (lanes, 3) are relative: λa − λ0, of which p is a function, and p and q."""
         apex, pressure, load = self.u[:, which]
-        rise = np.abs(apex - float(self.membrane.prestretch))
+        rise = np.maximum(np.abs(apex - float(self.membrane.prestretch)), FEW_ULPS * apex)
         return np.stack([rise, *(np.maximum(np.abs(v), 1e-3) for v in (pressure, load))], axis=1)
 
     def _estimate_errors(self, which) -> None:

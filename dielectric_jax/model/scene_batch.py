@@ -16,6 +16,7 @@ from .resolution import (
     CHUNK,
     CONE_LOAD,
     CONTRACTION,
+    GRIDS,
     GRIDS_ANEW,
     LAYER_LOADS,
     LAYER_STRETCH,
@@ -23,7 +24,7 @@ from .resolution import (
     NEWTON_ROUNDS,
     SCALE,
     SETTLED,
-    SETTLED_SHARE,
+    SETTLED_SHARES,
     SPLIT,
     STRETCHES_TOGETHER,
     TURNS,
@@ -159,12 +160,12 @@ class SceneBatch:
         """States of scenes `which` from u (lanes, 3) with row·u = target, or what `kinds` says."""
         return self._correct(which, *_begin(u, rows, targets, kinds), NEWTON_ROUNDS[0], tolerance, reach)
 
-    def newton(self, which, u, rows, targets, kinds, *, steps: tuple, reach: float) -> tuple[Linearised, np.ndarray]:
-        """Newton alone on grids of `steps`, then on the last of them while it goes on: its states, and which have converged.
+    def newton(self, which, u, rows, targets, kinds, *, level: int, reach: float) -> tuple[Linearised, np.ndarray]:
+        """Newton alone on the grids of a difficulty, then on the last of them while it goes on: states, and which have converged.
 
         `reach` bounds the distance from u in scaled unknowns.
         """
-        start, goals = _begin(u, rows, targets, kinds)
+        (start, goals), steps = _begin(u, rows, targets, kinds), GRIDS[level][0]
         active, last = np.arange(len(which)), np.full(len(which), np.inf)
         converged = np.zeros(len(which), bool)
         found = self._newton(which, start, goals, active, steps)
@@ -174,13 +175,13 @@ class SceneBatch:
             for store, values in zip(found, at, strict=True):
                 store[..., active] = values
             start.u[:, active] = at.u
-            with np.errstate(invalid="ignore"):
+            with np.errstate(invalid="ignore", divide="ignore"):
                 near = np.linalg.norm((at.u.T - u[active]) / SCALE, axis=1) <= reach
                 size = np.linalg.norm(at.move, axis=0)
                 # towards the flat state the equations bend at the scale of λa − λ0 and p themselves
                 room = np.stack([at.u[0] - self.membrane.prestretch, at.u[1]])
                 share = np.max(np.abs(at.move[:2] * SCALE[:2, None] / room), axis=0)
-                converged[active] = near & (size < SETTLED) & (share < SETTLED_SHARE)
+                converged[active] = near & (size < SETTLED) & (share < SETTLED_SHARES[level])
                 going = near & ~converged[active] & (size < last[active])
             last[active] = size
             active = active[going]
