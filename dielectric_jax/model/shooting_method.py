@@ -24,9 +24,10 @@ class ShootingMethod(eqx.Module):
     """How states are made exact: the integration from the apex to the rim, and the root finder of the rim condition.
 
     `solver` and `stepsize_controller` are those of diffrax, `dt0` the first step (of the interval from 0 to 1; None where the
-    controller chooses it), `max_steps` a bound of their number; `root_finder` is what `optimistix.root_find` takes. The default of
-    `equilibrium` and `voltage_volume` is not one of these: fixed grids and deferred correction, which are faster.
-    Raises ValueError where an argument is of another kind.
+    controller chooses it), `max_steps` a bound of their number; `root_finder` is what `optimistix.root_find` takes. The method
+    gives λa, p, q and V; height, charge, index and the values along the membrane are those of the default at nearly the same
+    state. The default of `equilibrium` and `voltage_volume` is not one of these methods: it uses fixed grids and deferred
+    correction. Raises ValueError where an argument is of another kind.
 
     >>> method = ShootingMethod(solver=dfx.Tsit5(), stepsize_controller=dfx.PIDController(rtol=1e-9, atol=1e-9))
     >>> type(method.root_finder).__name__
@@ -49,6 +50,8 @@ class ShootingMethod(eqx.Module):
         ):
             if not isinstance(getattr(self, name), kind):
                 raise ValueError(f"`{name}` must be {words}, but is {getattr(self, name)!r}.")
+        if self.dt0 is None and isinstance(self.stepsize_controller, dfx.ConstantStepSize):
+            raise ValueError("`dt0` must be given with a ConstantStepSize, but is None.")
         if not (isinstance(self.max_steps, int) and self.max_steps > 0):
             raise ValueError(f"`max_steps` must be a positive whole number, but is {self.max_steps!r}.")
 

@@ -68,6 +68,7 @@ def test_a_diagram():
         ({"solver": 8}, "`solver` must be a solver of diffrax, but is 8"),
         ({"stepsize_controller": dfx.Tsit5()}, "`stepsize_controller` must be a step size controller of diffrax"),
         ({"root_finder": "newton"}, "`root_finder` must be a root finder"),
+        ({"stepsize_controller": dfx.ConstantStepSize()}, "`dt0` must be given with a ConstantStepSize, but is None"),
         ({"max_steps": 0}, "`max_steps` must be a positive whole number, but is 0"),
     ],
 )
