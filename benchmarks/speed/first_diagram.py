@@ -5,7 +5,8 @@ with an empty one, and with a filled one (in its second process, which reads bot
 and warm (best of five), beside a fixed calibration loop of plain NumPy and the error against reference values. Of each
 process: starting Python, importing jax and the package, the first diagram, and the same diagram again. Tracing,
 lowering, compiling and loading run in threads side by side: their seconds are sums over the threads, and together more than
-the first diagram's.
+the first diagram's. Two more processes without a cache compile all programs with XLA's fusion emitters, and none: what the package
+chooses, program by program, rests on the seconds of their first diagram, of the next, and of a scan.
 
     python -m benchmarks.speed.first_diagram [--json FILE|-] [--quick]
 """
@@ -28,6 +29,7 @@ COLUMNS = {
     "package": "import_package_seconds",
     "first": "first_call_seconds",
     "again": "warm_seconds",
+    "scan": "scan_seconds",
     "trace": "trace",
     "lower": "lower",
     "compile": "compile",
@@ -35,13 +37,27 @@ COLUMNS = {
 }
 
 
-def child(repeats: int) -> None:
-    """One process: import, first diagram, warm diagrams; prints a JSON object."""
+def force(options: dict) -> None:
+    """Every program is compiled with these options of XLA, whatever the package asks for."""
+    import jax
+
+    compile_one = jax.stages.Lowered.compile
+
+    def compile_all(self, compiler_options=None):
+        return compile_one(self, (compiler_options or {}) | options)
+
+    jax.stages.Lowered.compile = compile_all
+
+
+def child(repeats: int, emitters: str | None) -> None:
+    """One process: import, first diagram, warm diagrams, scans; prints a JSON object."""
     importing, of_jax, first = (harness.Stopwatch() for _ in range(3))
     with importing:
         with of_jax:
             import jax
         jax.config.update("jax_enable_x64", True)
+        if emitters is not None:
+            force({"xla_cpu_use_fusion_emitters": emitters == "all"})
         compiled = harness.Compilations()
         import dielectric_jax as dj
 
@@ -56,6 +72,10 @@ def child(repeats: int) -> None:
     programs, stages = compiled.programs, dict(compiled.stages)
     warm = harness.timed(diagram, repeats, warm_up=False)
     found = warm.value
+    from dielectric_jax.model import chart
+
+    stretches, _, loads = one_chamber.scene().limits()
+    scan = harness.timed(lambda: chart.scan(one_chamber.scene().membrane, stretches, loads), repeats, warm_up=False)
     out = {
         "import_seconds": importing.seconds,
         "import_jax_seconds": of_jax.seconds,
@@ -63,6 +83,8 @@ def child(repeats: int) -> None:
         "first_call_seconds": first.seconds,
         "warm_seconds": warm.best,
         "warm_all_seconds": warm.seconds,
+        "scan_seconds": scan.best,
+        "scan_all_seconds": scan.seconds,
         # with a filled cache these are the loads from it
         "compile_seconds": stages["compile_or_load"],
         **one_chamber.errors(**one_chamber.voltages(found)),
@@ -79,12 +101,13 @@ def child(repeats: int) -> None:
     print(json.dumps(out))
 
 
-def run(cache: str, repeats: int) -> dict:
+def run(cache: str, repeats: int, emitters: str | None = None) -> dict:
     """The child's record, with the seconds of the whole process as seen from outside."""
+    forced = ["--emitters", emitters] if emitters else []
     process = harness.Stopwatch()
     with process:
         done = subprocess.run(
-            [sys.executable, "-m", "benchmarks.speed.first_diagram", "--child", str(repeats)],
+            [sys.executable, "-m", "benchmarks.speed.first_diagram", "--child", str(repeats), *forced],
             cwd=ROOT,
             env={**os.environ, "DIELECTRIC_JAX_CACHE": cache},
             stdout=subprocess.PIPE,
@@ -95,6 +118,7 @@ def run(cache: str, repeats: int) -> dict:
     stages = one.pop("stages")
     stages["compile"] = max(0.0, stages.pop("compile_or_load") - stages["load"])
     inside = one["import_seconds"] + one["first_call_seconds"] + sum(one["warm_all_seconds"])
+    inside += sum(one["scan_all_seconds"])
     return one | {
         "process_seconds": process.seconds,
         # what Python takes before the first line and after the last
@@ -141,9 +165,10 @@ def print_table(runs: dict, calibration: float) -> None:
 def main() -> int:
     parser = harness.arguments(__doc__, "one warm diagram instead of five, and none with the cache switched off")
     parser.add_argument("--child", type=int, help=argparse.SUPPRESS)
+    parser.add_argument("--emitters", choices=("all", "none"), help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.child is not None:
-        child(options.child)
+        child(options.child, options.emitters)
         return 0
     repeats = 1 if options.quick else 5
     calibration = harness.calibrate()
@@ -151,6 +176,8 @@ def main() -> int:
         caches = {"empty cache": folder, "filled cache": folder}
         caches = caches if options.quick else {"no cache": "off", **caches}
         runs = {name: run(cache, repeats) for name, cache in caches.items()}
+        if not options.quick:
+            runs |= {f"emitters: {which}": run("off", repeats, which) for which in ("all", "none")}
     records = [record(name, one, calibration) for name, one in (runs | {"warm": runs["filled cache"]}).items()]
     print_table(runs, calibration)
     good = all(r["error"] < 1e-9 and r["seconds_per_diagram"] <= (r["limit_seconds"] or float("inf")) for r in records)

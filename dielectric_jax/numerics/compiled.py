@@ -26,10 +26,11 @@ from jax.experimental import serialize_executable
 
 from .cache import enabled_folder, is_own, make_folder, write_own
 from .lanes import run_lanes
-from .resolution import LANES, MOST_LIVE, MOST_SHELVED, VECTOR_WIDTH
+from .resolution import FUSION_EMITTERS, LANES, MOST_LIVE, MOST_SHELVED, VECTOR_WIDTH
 
 __all__ = ["cached_jit", "elementwise", "of_this_package", "source_digest"]
 
+# how XLA compiles for the CPU; a backend or a release that does not know an option compiles without them
 _OPTIONS: typing.Any = {"xla_cpu_prefer_vector_width": VECTOR_WIDTH}
 _PACKAGE = __name__.split(".")[0]
 
@@ -173,11 +174,12 @@ def _return_memory() -> None:
 _PROGRAMS = Programs()
 
 
-def cached_jit(function: Callable) -> Callable:
+def cached_jit(function: Callable, *, fusion_emitters: bool = FUSION_EMITTERS) -> Callable:
     """`jax.jit(function)`, of whose programs the last ones used are kept in memory, and traces in the cache folder.
 
     The folder holds, while the cache is enabled, traces for arguments `of_this_package`. Inside a transformation it is
-    `jax.jit`. The result of `function` is made of tuples, lists and arrays.
+    `jax.jit`. The result of `function` is made of tuples, lists and arrays. `fusion_emitters` is an option of XLA for the
+    CPU: longer to compile, and faster for a long chain of elementwise operations.
     """
     plain = jax.jit(function)  # inside other programs no options are allowed
 
@@ -193,7 +195,8 @@ def cached_jit(function: Callable) -> Callable:
 
         def make():
             own = folder / "programs" if folder is not None and of_this_package(args) else None
-            return _compiled(function, tree, shapes, own)
+            lowered = _lowered(function, tree, shapes, own)
+            return _compiled(lowered, _OPTIONS | {"xla_cpu_use_fusion_emitters": fusion_emitters})
 
         return _PROGRAMS.of(key, make)(*arrays)
 
@@ -247,8 +250,18 @@ def _has_name(value) -> bool:
     return value is None or isinstance(value, (str, bool, int, float))
 
 
-def _compiled(function: Callable, tree, shapes, folder: pathlib.Path | None):
-    """The compiled program of a function of the leaves of its arguments; its trace is read from the folder, or written there."""
+def _compiled(lowered: jax.stages.Lowered, options: dict):
+    """The compiled program, without the options where they are not known here."""
+    try:
+        return lowered.compile(compiler_options=options)
+    except jax.errors.JaxRuntimeError as error:
+        if "compile option" not in str(error):
+            raise
+        return lowered.compile()
+
+
+def _lowered(function: Callable, tree, shapes, folder: pathlib.Path | None) -> jax.stages.Lowered:
+    """A function of the leaves of its arguments, ready to compile; its trace is read from the folder, or written there."""
 
     def of_leaves(*leaves):
         return function(*jax.tree.unflatten(tree, leaves))
@@ -265,7 +278,7 @@ def _compiled(function: Callable, tree, shapes, folder: pathlib.Path | None):
         return run(*leaves)
 
     named.__name__ = function.__name__
-    return jax.jit(named).lower(*arguments).compile(compiler_options=_OPTIONS)
+    return jax.jit(named).lower(*arguments)
 
 
 def _digest(name: str, tree, shapes) -> str:

@@ -5,6 +5,9 @@ LARGEST = 1e50
 
 # bits of the widest vectors that XLA may use on the CPU: all that the processor has; its default is half of them on many
 VECTOR_WIDTH = 512
+# whether XLA compiles for the CPU by its fusion emitters: with them a program takes 1.5 times as long to compile and twice the
+# memory maps, and most run no faster; benchmarks/speed/first_diagram.py
+FUSION_EMITTERS = False
 # points of one call of an elementwise function; more points are more calls of the same program
 LANES = 512
 # lanes of a call on a device other than a CPU, in those of a call that fits a CPU's cache; not measured, limits the number of calls
