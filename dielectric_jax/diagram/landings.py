@@ -35,6 +35,7 @@ from .resolution import (
     ABOUT_BREAKDOWN,
     CHORDS,
     CLOSE_ROWS,
+    ENOUGH_CHORDS,
     EXACT_MAP_STEPS,
     FALL,
     LANDING_REACH,
@@ -485,5 +486,7 @@ def _crossing(field: _Field, condition: LoadingCondition, row: int, t: np.ndarra
             slope = np.where(np.abs(new - here) > 1e-5, (again - value) / (new - here), slope)
             # beyond the edge the chord goes on
             last, here, value, found = again / slope, new, again, new - again / slope
+            if np.all(np.nan_to_num(np.abs(last), nan=0.0) < ENOUGH_CHORDS):
+                break
         settled = np.isfinite(found) & ((np.abs(last) < SETTLED_CROSSING) | (found > SCANNED_LOAD))
     return found, settled
