@@ -1,6 +1,6 @@
-from . import apps, critical, design, diagram, model, numerics, plot, surface, sweeps
+from . import apps, critical, design, diagram, model, modes, numerics, plot, surface, sweeps
 from .apps import explore, reproduce
-from .critical import area_strain, fold_curves, snap_point, snap_voltage
+from .critical import area_strain, fold_curves, neutral_modes, snap_point, snap_voltage
 from .design import calibrate, classify_designs, maximise, maximise_area_strain, regime_map
 from .diagram import continue_scenes, equilibrium, glance, pressure_volume, regime_of, voltage_volume
 from .model import (
@@ -26,6 +26,7 @@ from .model import (
     profile,
     stability_of,
 )
+from .modes import mode_spectrum
 from .numerics import Code, SceneError, enable_compilation_cache
 from .surface import Surface
 from .sweeps import open_sweep, sweep
@@ -69,7 +70,10 @@ __all__ = [
     "glance",
     "maximise",
     "maximise_area_strain",
+    "mode_spectrum",
     "model",
+    "modes",
+    "neutral_modes",
     "numerics",
     "open_sweep",
     "plot",

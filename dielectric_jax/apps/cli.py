@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import dataclasses
 import json
 import os
 import sys
@@ -17,7 +18,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..numerics import SceneError, StoreError, WorkersLost
+from ..numerics import Code, SceneError, StoreError, WorkersLost
 from .options import (
     CHAMBER_OPTIONS,
     MATERIAL_CONSTANTS,
@@ -163,6 +164,30 @@ def _run_voltage_volume(dj: Any, args: argparse.Namespace) -> tuple[dict, Callab
     return diagram.to_json(), draw
 
 
+def _run_modes(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
+    membrane, what = _membrane(dj, args), None
+    _say("modes …")
+    if args.chamber_volume is not None:
+        args.control = "voltage"
+        what = _scene(dj, args)
+        states = dj.voltage_volume(what, points=args.points, tolerance=args.tolerance).states_at(args.voltage)
+        if not states:
+            raise SceneError(Code.no_equilibrium)
+        state = states[0]
+    else:
+        names = ("pressure", "volume", "apex_stretch")
+        given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
+        options = {"tolerance": args.tolerance, "window": _window(dj, args)}
+        state = dj.equilibrium(membrane, voltage=args.voltage, **given, **options)
+        what = dj.Scene(membrane, dj.PrescribedVolume(args.volume)) if args.volume else membrane
+    found = dj.mode_spectrum(what, state, args.numbers, args.count)
+    units = args.units
+    if units is not None and args.density is not None:
+        units = dataclasses.replace(units, density=args.density)
+    document = {"scene": dj.model.describe(what), "units": "dimensionless"} | found.to_json(units)
+    return document, lambda: None
+
+
 def _run_sweep(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
     from ..sweeps import read_specification
 
@@ -232,6 +257,7 @@ _COMMANDS = {
     "regimes": _run_regimes,
     "optimise": _run_optimise,
     "equilibrium": _run_equilibrium,
+    "modes": _run_modes,
     "pressure-volume": _run_pressure_volume,
     "voltage-volume": _run_voltage_volume,
 }

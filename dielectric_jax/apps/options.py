@@ -159,6 +159,36 @@ def _add_equilibrium(commands, common: Parser) -> None:
     one.add_argument("--all", action="store_true", help="every state in the window, not only that of smallest volume")
 
 
+def _numbers(text: str) -> tuple[int, ...]:
+    """Circumferential numbers: one, or a range 0:12 that includes both ends."""
+    ends = text.split(":")
+    if len(ends) > 2 or not all(re.fullmatch(r"[0-9]{1,3}", end) for end in ends) or int(ends[0]) > int(ends[-1]):
+        raise argparse.ArgumentTypeError(
+            f"must be a whole number or a range such as 0:12, of at most three digits, but is {shown(text)}."
+        )
+    return tuple(range(int(ends[0]), int(ends[-1]) + 1))
+
+
+def _add_modes(commands, common: Parser) -> None:
+    modes = commands.add_parser(
+        "modes", parents=[common], help="modes of every circumferential number", description=_DESCRIPTION
+    )
+    modes.add_argument("--voltage", type=_not_negative, default=0.0, metavar="PHI", help="voltage (0)")
+    given = modes.add_mutually_exclusive_group(required=True)
+    given.add_argument("--pressure", type=_not_negative, metavar="P", help="prescribed pressure")
+    given.add_argument("--volume", type=_not_negative, metavar="V", help="prescribed volume")
+    given.add_argument("--apex-stretch", type=_positive, metavar="L", help="prescribed stretch of the apex")
+    _add_parameter(given, "chamber_volume")
+    filling = modes.add_mutually_exclusive_group()
+    for name in ("initial_volume", "initial_pressure"):
+        _add_parameter(filling, name)
+    for name in ("atmospheric_pressure", "polytropic_exponent"):
+        _add_parameter(modes, name)
+    modes.add_argument("--numbers", type=_numbers, default=tuple(range(13)), metavar="A:B", help="numbers n (0:12)")
+    modes.add_argument("--count", type=_whole(1, 12), default=3, metavar="N", help="eigenvalues of each number (3)")
+    modes.add_argument("--density", type=_unit, metavar="RHO", help="density in kg/m3, for frequencies; with --si")
+
+
 def _add_pressure_volume(commands, common: Parser) -> None:
     curve = commands.add_parser(
         "pressure-volume", parents=[common], help="curves at fixed voltage", description=_DESCRIPTION
@@ -251,6 +281,7 @@ def _parser() -> Parser:
     _add_equilibrium(commands, common)
     _add_pressure_volume(commands, common)
     _add_voltage_volume(commands, common)
+    _add_modes(commands, common)
     _add_paper(commands)
     _add_sweep(commands)
     _add_calibrate(commands, common)
@@ -293,17 +324,22 @@ def _check(args: argparse.Namespace) -> None:
         window = getattr(args, name)
         if window is not None and not window[0] < window[1]:
             raise BadInput(f"{_option(name)} must be two numbers A < B, but is {window[0]:g} {window[1]:g}.")
-    if args.command == "voltage-volume":
+    if args.command in ("voltage-volume", "modes"):
         given = [name for name in CHAMBER_OPTIONS if getattr(args, name) is not None]
-        other = "pressure" if args.pressure is not None else "volume"
+        held = ("pressure", "volume", "apex_stretch")
+        other = next((name for name in held if getattr(args, name, None) is not None), "volume")
         if args.chamber_volume is None and given:
-            raise BadInput(f"{_option(given[0])} must be given with --chamber-volume only, not with --{other}.")
+            raise BadInput(f"{_option(given[0])} must be given with --chamber-volume only, not with {_option(other)}.")
         if args.chamber_volume is not None and args.initial_volume is None and args.initial_pressure is None:
             raise BadInput(
                 "--initial-volume or --initial-pressure must be given with --chamber-volume, but neither is."
             )
-        if args.control == "charge" and args.engine == "surface":
+        if args.command == "voltage-volume" and args.control == "charge" and args.engine == "surface":
             raise BadInput("--engine must be continuation with --control charge, but is surface.")
+    if args.command == "modes" and args.density is not None and not args.si:
+        raise BadInput("--density must be given with --si only.")
+    if args.command == "modes" and args.figure is not None:
+        raise BadInput("--figure must be left out for modes, which has no figure.")
     if args.command == "equilibrium" and args.points is not None and args.figure is None:
         raise BadInput("--points must be given with --figure only for equilibrium, because a state has no branch.")
 

@@ -47,6 +47,8 @@ def summary(document: dict) -> str:
         return "\n".join([*lines, *_map_lines(document)])
     if "multipliers" in document:
         return "\n".join([*lines, *_design_lines(document)])
+    if "modes" in document:
+        return "\n".join([*lines, *_mode_lines(document, units)])
     if "states" in document:
         return "\n".join([*lines, *_state_lines("states", document["states"], (), units)])
     complete = "yes" if document["complete"] else "no, scan and engine disagree"
@@ -101,6 +103,18 @@ def _design_lines(document: dict) -> list[str]:
     lines = ["", *(f"{n}: {_number_text(v)}" for n, v in document["parameters"].items())]
     lines += [f"area strain: {_number_text(document['area_strain'])} ({document['regime']})"]
     return [*lines, "", _table(["constraint", "left", "active", "multiplier"], rows)]
+
+
+def _mode_lines(document: dict, units: dict[str, str]) -> list[str]:
+    rows = [
+        [m["number"], m["index"], *m["eigenvalues"], *(m["frequency"] or []), f"{m['error_estimate']:.1e}"]
+        for m in document["modes"]
+    ]
+    first = document["modes"][0]
+    head = ["n", "index", *(f"eigenvalue {k + 1}" for k in range(len(first["eigenvalues"])))]
+    head += [f"frequency {k + 1} [Hz]" for k in range(len(first["frequency"] or []))]
+    least = f"least hoop stress: {_number_text(document['hoop_tension'])}{_unit_of('hoop_tension', units)}"
+    return [*_state_lines("state", [document["state"]], (), units), "", "modes", _table([*head, "error"], rows), least]
 
 
 def _unit_of(name: str, units: dict[str, str]) -> str:

@@ -18,6 +18,7 @@ from .cusps import (
     pressure_valley,
     zero_voltage_point,
 )
+from .neutral_modes import neutral_modes
 from .two_parameters import FoldCurve, FoldCurves, TwoParameterPoint, fold_curves
 
 __all__ = [
@@ -33,6 +34,7 @@ __all__ = [
     "cusp",
     "fold_curves",
     "landing_point",
+    "neutral_modes",
     "pressure_cusp",
     "pressure_peak",
     "pressure_valley",

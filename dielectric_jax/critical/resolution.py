@@ -22,7 +22,9 @@ __all__ = [
     "LINE_LOAD",
     "LOG_FROM",
     "MANY",
+    "MODE_SAMPLES",
     "MOST_LINES",
+    "MOST_MODE_NUMBER",
     "NODES",
     "ON_LEVEL",
     "OVER_CORNER",
@@ -109,3 +111,9 @@ LOG_FROM = 4.0
 SAME_POINT = 1e-5
 #: points of a drawn line between two of a curve
 DRAWN = 8
+
+# ---- neutral modes
+#: points of a branch at which the negative modes are counted
+MODE_SAMPLES = 41
+#: largest circumferential number
+MOST_MODE_NUMBER = 400

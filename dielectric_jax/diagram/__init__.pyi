@@ -1,5 +1,5 @@
 from .batch import Batch, MembraneKey, condition_of, continue_scenes, stacked, starts
-from .diagrams import Diagram, pressure_volume, voltage_volume
+from .diagrams import Diagram, mesh_of, points_where, pressure_volume, voltage_volume
 from .glances import Glance, glance
 from .mesh import hermite
 from .ramp import ENDS
@@ -54,6 +54,8 @@ __all__ = [
     "hermite",
     "landings_on",
     "loading_arrays",
+    "mesh_of",
+    "points_where",
     "pressure_curves",
     "pressure_ramps",
     "pressure_volume",

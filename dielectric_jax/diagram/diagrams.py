@@ -43,7 +43,7 @@ from .branches import Solved, find_curves, special_record
 from .mesh import Curve
 from .ramp import build_ramp, build_way_back, flat_ramp
 from .resolution import MESH_POINTS
-from .special_points import fold_events, special_points
+from .special_points import fold_events, locate, special_points
 from .states import (
     check_concrete,
     check_reachable,
@@ -57,7 +57,7 @@ from .states import filling as filling_of
 from .surface_contours import OnSurface
 from .tracing import warm_up
 
-__all__ = ["Diagram", "pressure_volume", "voltage_volume"]
+__all__ = ["Diagram", "mesh_of", "points_where", "pressure_volume", "voltage_volume"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -129,6 +129,14 @@ class Diagram:
         if not isinstance(mechanical(self.scene.loading), Chamber) or self.condition is None:
             return None
         return np.asarray(self.condition.gas_pressure(np.asarray(volume, float)))
+
+    def states_at(self, voltage: float) -> list[State]:
+        """The states at a voltage on all branches, by volume; of a diagram that has the voltage or the charge as control."""
+        if not isinstance(self._solver, Solved) or self.control == "pressure":
+            raise ValueError("`voltage` must be asked of a voltage–volume diagram of an inflated film.")
+        solved = dataclasses.replace(self._solver, missed=[])
+        located = solved.states_along(PointKind.load, float(voltage) ** 2)
+        return sorted((solved.state(p) for p in located), key=lambda s: s.volume)
 
     def plot(self, **options):
         """The diagram as a matplotlib figure, see `plot.plot_diagram`."""
@@ -304,6 +312,27 @@ def voltage_volume(
         raise
     up, down = build_ramp(solved, filling[1] if isinstance(mechanical(loading), Chamber) else None)
     return _diagram("voltage-volume", scene, solved, complete, points, _up=up, _down=down)
+
+
+def mesh_of(diagram: Diagram) -> list[np.ndarray]:
+    """The exact points of every branch, (3, points): λa, p, q. A flat film has none."""
+    return [c.points.u for c in diagram._solver.curves] if isinstance(diagram._solver, Solved) else []
+
+
+def points_where(diagram: Diagram, wanted: list[tuple]) -> list[SpecialPoint | None]:
+    """Points at which test functions vanish, as special points of kind `mode`; None where one was not located.
+
+    Each of `wanted` is (function of `Points`, branch, i): the function changes sign between the mesh points i and i + 1.
+    """
+    solved = diagram._solver
+    assert isinstance(solved, Solved)
+    asked = [(*w, 0.0) for w in wanted]
+    located, missed = locate(solved.solver, solved.curves, asked, solved.tolerance)
+    found: list[SpecialPoint | None] = [None] * len(asked)
+    kept = [k for k, w in enumerate(asked) if w not in missed]
+    for k, point in zip(kept, located, strict=True):
+        found[k] = special_record(dataclasses.replace(point, kind=PointKind.mode), solved.tolerance)
+    return found
 
 
 def _diagram(kind: str, scene: Scene, solved: Solved, complete: bool, points: int, **more) -> Diagram:

@@ -8,6 +8,7 @@ roots advance together.
 
 import concurrent.futures
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 from scipy.optimize import root_scalar
@@ -37,8 +38,10 @@ FOLDS = {
 }  # and the column of the control that turns there
 
 
-def event_values(kind: PointKind, points: Points, target: float = 0.0) -> np.ndarray:
-    """The function of an event on points (lanes,): it vanishes at the event."""
+def event_values(kind: PointKind | Callable, points: Points, target: float = 0.0) -> np.ndarray:
+    """The function of an event on points (lanes,): it vanishes at the event. A kind may be a test function itself."""
+    if callable(kind):
+        return kind(points)
     if kind in FOLDS:
         return points.control_slope(FOLDS[kind])
     if kind == PointKind.zero_voltage:

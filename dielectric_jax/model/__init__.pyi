@@ -35,7 +35,7 @@ from .materials import (
     largest_load,
     stresses,
 )
-from .membrane import Membrane, Profile, field_ratio_squared, slopes, vhb_4910, window_end
+from .membrane import Membrane, Profile, apex_series, field_ratio_squared, slopes, vhb_4910, window_end
 from .outcomes import REGIME_COLOURS, SNAPPING, FoldAhead, Outcome, Regime, regimes_of
 from .parameters import PARAMETERS, Change, Parameter, change_of, parameter_of, place_of
 from .points import Points, Shooting, compile_ahead, corrected_points
@@ -47,7 +47,7 @@ from .scene import Scene, Window, describe, pair
 from .scene_batch import LANES, Corrected, SceneBatch, calls, difficulty, load_fraction, locking_stretch, padded, pick
 from .shooting import UNKNOWNS, eighth_order_step, integrate_membrane, rim_with_sensitivities, shoot
 from .shooting_method import ShootingMethod, shooting_of
-from .stability import Stability, stability_of
+from .stability import Stability, least_along, stability_of
 from .units import VACUUM_PERMITTIVITY, VHB_4910, Units
 
 __all__ = [
@@ -110,6 +110,7 @@ __all__ = [
     "Units",
     "VHBBreakdown",
     "Window",
+    "apex_series",
     "as_scalar",
     "cached_scan",
     "calls",
@@ -131,6 +132,7 @@ __all__ = [
     "is_concrete",
     "jacobian_program",
     "largest_load",
+    "least_along",
     "load_fraction",
     "locking_stretch",
     "map_nodes",

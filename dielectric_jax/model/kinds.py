@@ -8,7 +8,7 @@ __all__ = ["ClosingEquation", "PointKind", "RampEvent"]
 class PointKind(enum.StrEnum):
     """Kinds of points, each the root of a test function along a branch or of a system of equations.
 
-    Special points of a diagram are `fold`, `zero_voltage`, `breakdown`, `hoop_tension_loss` and `slack`. A fold is one of
+    Special points of a diagram are `fold`, `zero_voltage`, `breakdown`, `hoop_tension_loss`, `slack` and `mode`. A fold is one of
     the control: `pressure_fold` and `charge_fold` say which, where a computation has to know; diagrams list both as `fold`.
     The rest are points at which a quantity has a given value, and points of codimension two.
     """
@@ -20,6 +20,7 @@ class PointKind(enum.StrEnum):
     breakdown = "breakdown"
     hoop_tension_loss = "hoop_tension_loss"
     slack = "slack"
+    mode = "mode"  # a mode of some circumferential number is neutral
     load = "load"
     charge = "charge"
     volume = "volume"

@@ -118,19 +118,25 @@ class State:
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class SpecialPoint(State):
-    """A located point of a branch: `kind` is fold, zero_voltage, breakdown, hoop_tension_loss or slack."""
+    """A located point of a branch: `kind` is fold, zero_voltage, breakdown, hoop_tension_loss, slack or mode.
+
+    `number` is the circumferential number of a neutral mode, None for other kinds.
+    """
 
     kind: PointKind = dataclasses.field(kw_only=True)
     branch: int = 0
     #: arclength along the branch, for ordering; not part of the JSON
     position: float = 0.0
+    number: int | None = None
 
     def to_json(self) -> dict:
-        """Kind and branch, then the state."""
-        return {"kind": self.kind, "branch": self.branch} | super().to_json()
+        """Kind and branch, of a mode also its number, then the state."""
+        number = {} if self.number is None else {"number": self.number}
+        return {"kind": self.kind, "branch": self.branch} | number | super().to_json()
 
     def __repr__(self) -> str:
-        return super().__repr__().replace("(", f"({self.kind!r}, branch={self.branch}, ", 1)
+        number = "" if self.number is None else f"number={self.number}, "
+        return super().__repr__().replace("(", f"({self.kind!r}, branch={self.branch}, {number}", 1)
 
 
 @dataclasses.dataclass(frozen=True, repr=False)

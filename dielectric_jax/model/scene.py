@@ -272,7 +272,8 @@ def _rebuild(module, path, changes):
 
 def describe_units(units: Units) -> dict:
     """The constants of the units, in SI, under their published names."""
-    return {name: float(getattr(units, name)) for name in units.__dataclass_fields__}
+    given = {name: getattr(units, name) for name in units.__dataclass_fields__}
+    return {name: float(value) for name, value in given.items() if value is not None}
 
 
 _MATERIAL_NAMES = {

@@ -24,7 +24,7 @@ from .resolution import CHUNK, EQUILIBRIUM, GRID_DOUBT, LEAST_ESTIMATE, STABILIT
 from .scene import Scene
 from .shooting import UNKNOWNS, integrate_membrane
 
-__all__ = ["Stability", "control_rate", "index_of", "index_under", "stability_of", "under_charge"]
+__all__ = ["Stability", "control_rate", "index_of", "index_under", "least_along", "stability_of", "under_charge"]
 
 
 def index_of(zeros, jacobian, sensitivities, volume, condition):
@@ -124,7 +124,7 @@ def _survey_program(material, u, steps):
     return shot.stretch_change, shot.volume, shot.charge, sensitivities, jnp.sum(change, axis=0), *fields, *least
 
 
-def _least_hoop(radius: np.ndarray, hoop: np.ndarray) -> tuple[float, float]:
+def least_along(radius: np.ndarray, hoop: np.ndarray) -> tuple[float, float]:
     """The least value of a smooth function known at rising radii, and its place."""
     known = np.isfinite(radius)
     radius, hoop = radius[known], hoop[known]
@@ -242,7 +242,7 @@ def judge(what: Scene | Membrane, states: list[State], surveys: list) -> list[St
             "unresolved": not decided,
         }
         reasons = tuple(name for name, doubt in doubts.items() if doubt)
-        least = _least_hoop(radius[:, i], hoop[:, i])
+        least = least_along(radius[:, i], hoop[:, i])
         numbers = *least, float(tension[i]), float(modulus[i])
         found.append(Stability(None if reasons else int(index[i]), reasons, *numbers))
     return found

@@ -37,7 +37,7 @@ _KINDS = {
     "length": ("height", "radius", "r", "z"),
     "charge": ("charge",),
     "field": ("field", "constant_field", "breakdown"),
-    "stress": ("stress", "stress_1", "stress_2"),
+    "stress": ("stress", "stress_1", "stress_2", "hoop_tension"),
     "energy": ("energy",),
 }
 _KIND = {row.name: row.kind for row in PARAMETERS.values() if row.kind in ("pressure", "volume")}
@@ -91,7 +91,7 @@ class Units(eqx.Module):
 
     By default the membrane of the paper's analyses: VHB 4910 with μ = 45 kPa, H = 1 mm, A = 22.5 mm, ε = 4.7 ε0. The
     field's unit √(μ/ε) is also that of the breakdown law, which must be given the same μ and ε; `Scene` checks it, and
-    `Scene.from_si` does it.
+    `Scene.from_si` does it. The `density` ρ [kg/m³] of the film, none by default, is needed for frequencies only.
 
     >>> units = Units()
     >>> round(units.to_si(0.1, "voltage"), 6), round(units.to_si(2.42, "volume") / 1e-6, 6)  # V, ml
@@ -106,8 +106,11 @@ class Units(eqx.Module):
     thickness: Scalar = eqx.field(default=1e-3, converter=as_scalar)
     radius: Scalar = eqx.field(default=22.5e-3, converter=as_scalar)
     permittivity: Scalar = eqx.field(default=4.7 * VACUUM_PERMITTIVITY, converter=as_scalar)
+    density: Scalar | None = eqx.field(default=None, converter=lambda v: None if v is None else as_scalar(v))
 
     def __check_init__(self):
+        if self.density is not None and is_concrete(self.density):
+            check_positive("density", float(self.density))
         for name in _CONSTANTS:
             if is_concrete(getattr(self, name)):
                 value = float(getattr(self, name))

@@ -79,6 +79,12 @@ def test_two_diagrams_agree_with_a_finer_scan(tmp_path):
     assert all(r["complete"] for r in record["records"])
 
 
+def test_modes_agree_with_a_finer_mesh(tmp_path):
+    record, said = quick("acceptance.modes", tmp_path)
+    assert record["wrong_indices"] == 0 and record["largest_ratio"] <= 10, said
+    assert record["records"][0]["undecided"] == 0 < record["records"][0]["indices"], said
+
+
 def test_the_first_diagram_is_measured_and_right(tmp_path):
     record, said = quick("speed.first_diagram", tmp_path)
     names = [r["name"] for r in record["records"]]

@@ -1,0 +1,5 @@
+"""Stability and vibration of a membrane against modes of any circumferential number."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

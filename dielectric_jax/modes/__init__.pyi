@@ -1,0 +1,3 @@
+from .spectrum import ModeShape, ModeSpectrum, lowest_eigenvalues, mode_spectrum, unstable_numbers
+
+__all__ = ["ModeShape", "ModeSpectrum", "lowest_eigenvalues", "mode_spectrum", "unstable_numbers"]
