@@ -165,7 +165,7 @@ def _run_voltage_volume(dj: Any, args: argparse.Namespace) -> tuple[dict, Callab
 
 
 def _run_modes(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
-    membrane, what = _membrane(dj, args), None
+    membrane = what = _membrane(dj, args)
     _say("modes …")
     if args.chamber_volume is not None:
         args.control = "voltage"
@@ -179,7 +179,6 @@ def _run_modes(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], An
         given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
         options = {"tolerance": args.tolerance, "window": _window(dj, args)}
         state = dj.equilibrium(membrane, voltage=args.voltage, **given, **options)
-        what = dj.Scene(membrane, dj.PrescribedVolume(args.volume)) if args.volume else membrane
     found = dj.mode_spectrum(what, state, args.numbers, args.count)
     units = args.units
     if units is not None and args.density is not None:

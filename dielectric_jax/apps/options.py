@@ -149,13 +149,28 @@ def _common() -> Parser:
     return common
 
 
-def _add_equilibrium(commands, common: Parser) -> None:
-    one = commands.add_parser("equilibrium", parents=[common], help="single states", description=_DESCRIPTION)
-    one.add_argument("--voltage", type=_not_negative, default=0.0, metavar="PHI", help="voltage (0)")
-    given = one.add_mutually_exclusive_group(required=True)
+def _add_state(command: Parser) -> Any:
+    """The options that ask for one state; returns the group of which one is given."""
+    command.add_argument("--voltage", type=_not_negative, default=0.0, metavar="PHI", help="voltage (0)")
+    given = command.add_mutually_exclusive_group(required=True)
     given.add_argument("--pressure", type=_not_negative, metavar="P", help="prescribed pressure")
     given.add_argument("--volume", type=_not_negative, metavar="V", help="prescribed volume")
     given.add_argument("--apex-stretch", type=_positive, metavar="L", help="prescribed stretch of the apex")
+    return given
+
+
+def _add_filling(command: Parser) -> None:
+    """The options of a chamber's gas."""
+    filling = command.add_mutually_exclusive_group()
+    for name in ("initial_volume", "initial_pressure"):
+        _add_parameter(filling, name)
+    for name in ("atmospheric_pressure", "polytropic_exponent"):
+        _add_parameter(command, name)
+
+
+def _add_equilibrium(commands, common: Parser) -> None:
+    one = commands.add_parser("equilibrium", parents=[common], help="single states", description=_DESCRIPTION)
+    _add_state(one)
     one.add_argument("--all", action="store_true", help="every state in the window, not only that of smallest volume")
 
 
@@ -171,19 +186,15 @@ def _numbers(text: str) -> tuple[int, ...]:
 
 def _add_modes(commands, common: Parser) -> None:
     modes = commands.add_parser(
-        "modes", parents=[common], help="modes of every circumferential number", description=_DESCRIPTION
+        "modes",
+        parents=[common],
+        help="modes of every circumferential number",
+        description=_DESCRIPTION
+        + """
+For n = 0 pressure and voltage are held; with --chamber-volume the gas of the chamber answers.""",
     )
-    modes.add_argument("--voltage", type=_not_negative, default=0.0, metavar="PHI", help="voltage (0)")
-    given = modes.add_mutually_exclusive_group(required=True)
-    given.add_argument("--pressure", type=_not_negative, metavar="P", help="prescribed pressure")
-    given.add_argument("--volume", type=_not_negative, metavar="V", help="prescribed volume")
-    given.add_argument("--apex-stretch", type=_positive, metavar="L", help="prescribed stretch of the apex")
-    _add_parameter(given, "chamber_volume")
-    filling = modes.add_mutually_exclusive_group()
-    for name in ("initial_volume", "initial_pressure"):
-        _add_parameter(filling, name)
-    for name in ("atmospheric_pressure", "polytropic_exponent"):
-        _add_parameter(modes, name)
+    _add_parameter(_add_state(modes), "chamber_volume")
+    _add_filling(modes)
     modes.add_argument("--numbers", type=_numbers, default=tuple(range(13)), metavar="A:B", help="numbers n (0:12)")
     modes.add_argument("--count", type=_whole(1, 12), default=3, metavar="N", help="eigenvalues of each number (3)")
     modes.add_argument("--density", type=_unit, metavar="RHO", help="density in kg/m3, for frequencies; with --si")
@@ -205,11 +216,7 @@ def _add_voltage_volume(commands, common: Parser) -> None:
     loading = scene.add_mutually_exclusive_group(required=True)
     for name in ("pressure", "chamber_volume", "volume"):
         _add_parameter(loading, name)
-    filling = scene.add_mutually_exclusive_group()
-    for name in ("initial_volume", "initial_pressure"):
-        _add_parameter(filling, name)
-    for name in ("atmospheric_pressure", "polytropic_exponent"):
-        _add_parameter(scene, name)
+    _add_filling(scene)
     scene.add_argument(
         "--control", choices=["voltage", "charge"], default="voltage", help="what a ramp changes (voltage)"
     )

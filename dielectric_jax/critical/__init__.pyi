@@ -18,7 +18,7 @@ from .cusps import (
     pressure_valley,
     zero_voltage_point,
 )
-from .neutral_modes import neutral_modes
+from .mode_points import neutral_modes
 from .two_parameters import FoldCurve, FoldCurves, TwoParameterPoint, fold_curves
 
 __all__ = [

@@ -324,10 +324,7 @@ class Solved:
 
     def states_at(self, squared: float) -> list[Located]:
         """All states at one value of the control, q or Q², on all branches."""
-        return self.states_along(PointKind.charge if self.control == 3 else PointKind.load, squared)
-
-    def states_along(self, kind: PointKind, squared: float) -> list[Located]:
-        """All states at one value of q (`PointKind.load`) or of Q² (`charge`), on all branches."""
+        kind = PointKind.charge if self.control == 3 else PointKind.load
         wanted = [
             (kind, b, int(i), squared) for b, curve in enumerate(self.curves) for i in brackets(curve, kind, squared)
         ]

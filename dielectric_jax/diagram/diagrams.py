@@ -131,12 +131,17 @@ class Diagram:
         return np.asarray(self.condition.gas_pressure(np.asarray(volume, float)))
 
     def states_at(self, voltage: float) -> list[State]:
-        """The states at a voltage on all branches, by volume; of a diagram that has the voltage or the charge as control."""
-        if not isinstance(self._solver, Solved) or self.control == "pressure":
-            raise ValueError("`voltage` must be asked of a voltage–volume diagram of an inflated film.")
+        """The states at a voltage on all branches of a diagram whose control is the voltage, by volume."""
+        if self.control != "voltage":
+            raise ValueError(
+                f"`states_at` must be asked of a diagram over the voltage, but its control is the {self.control}."
+            )
+        q = float(voltage) ** 2
+        if not isinstance(self._solver, Solved):
+            loads = self.branches[0].voltage_squared
+            return [flat_state(self.scene.membrane, q)] if q <= loads.max() else []
         solved = dataclasses.replace(self._solver, missed=[])
-        located = solved.states_along(PointKind.load, float(voltage) ** 2)
-        return sorted((solved.state(p) for p in located), key=lambda s: s.volume)
+        return sorted((solved.state(p) for p in solved.states_at(q)), key=lambda s: s.volume)
 
     def plot(self, **options):
         """The diagram as a matplotlib figure, see `plot.plot_diagram`."""

@@ -7,8 +7,9 @@ ELEMENTS = ((1, 16), (1, 22), (2, 18), (4, 16), (8, 16))
 MORE_POINTS = 2
 # steps of the shot that gives the state along the radius; finer grids change the eigenvalues by less than 1e-9
 PROFILE_STEPS = (48.0, 48.0, 96.0, 160.0, 240.0)
-# states, and numbers, of one call of the compiled program
+# states of one call of the compiled program
 STATES_TOGETHER = (1, 16)
+# numbers of one call
 NUMBERS_TOGETHER = 8
 # how many modes of a number the compiled programs give: few, or as many as may be asked for
 COUNTS = (4, 12)
@@ -18,6 +19,8 @@ NEAR_EQUAL, MEAN_NODES = 0.05, 6
 ROUNDING, STATE_ERROR = 1e-13, 10.0
 # a radius that stands for the apex, where the equations are singular
 NEAR_APEX = 1e-12
+# how far from the rim condition a state may be, of λa
+EQUILIBRIUM = 1e-5
 # largest circumferential number
 LARGEST_NUMBER = 400
 # points along the radius of a shape

@@ -35,13 +35,14 @@ class Assembled(typing.NamedTuple):
     """The second variation on the nodes of the elements, of one state or with lanes in front.
 
     `stiffness` (3, N, 3, N, 3) holds the coefficients of 1, n, n²; `mass` (N, N) is ∫ φ φ R dR; `volume` and `charge` (N, 3)
-    are the first variations of V and C = Q/Φ for n = 0.
+    are the first variations of V and of `capacitance`, C = Q/Φ, for n = 0.
     """
 
     stiffness: jax.Array
     mass: jax.Array
     volume: jax.Array
     charge: jax.Array
+    capacitance: jax.Array
 
 
 class _Base(typing.NamedTuple):
@@ -184,7 +185,9 @@ def assembled(elements: int, degree: int) -> Callable:
         volume = gather([r * base.l1 * base.sine, None], [None, r**2 / 2])
         c1, c2 = jax.grad(lambda a, b: jnp.sum(capacitance(material, a, b)), argnums=(0, 1))(base.l1, base.l2)
         charge = gather([c2, c1 * base.cosine * flat], [None, c1 * base.sine * flat])
-        return Assembled(stiffness, mass, volume, charge), stretch_change, (whole.radius.T, hoop.T)
+        local = capacitance(material, base.l1, base.l2).reshape(radius.shape)
+        total = 2 * jnp.pi * jnp.sum(weight * radius * local, axis=(0, 1))
+        return Assembled(stiffness, mass, volume, charge, total), stretch_change, (whole.radius.T, hoop.T)
 
     return assemble
 

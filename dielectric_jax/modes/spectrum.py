@@ -27,6 +27,7 @@ from .basis import lagrange, lobatto
 from .resolution import (
     COUNTS,
     ELEMENTS,
+    EQUILIBRIUM,
     LARGEST_NUMBER,
     NEUTRAL_TOLERANCE,
     NUMBERS_TOGETHER,
@@ -43,7 +44,6 @@ __all__ = ["ModeShape", "ModeSpectrum", "lowest_eigenvalues", "mode_spectrum", "
 
 # on the CPU two programs that hold eigensolvers wait for each other for ever where XLA has two threads
 _ONE_AT_A_TIME = threading.Lock()
-_EQUILIBRIUM = 1e-5  # of λa: how far from the rim condition a state may be
 
 
 @dataclasses.dataclass(frozen=True)
@@ -263,15 +263,16 @@ def unstable_numbers(membrane: Membrane, u: np.ndarray, numbers: Sequence[int]) 
 
 def _judged(membrane: Membrane, state: State, asked: Asked, coarse: _Level, fine: _Level) -> ModeSpectrum:
     """The spectrum of a state from two meshes."""
-    values, count = fine.values[:, : asked.count], asked.count
+    count = asked.count
+    values, more = fine.values[:, :count], fine.values[:, : count + 1]
     defect = abs(float(fine.stretch_change) - (float(membrane.prestretch) - state.apex_stretch))
-    if not defect <= _EQUILIBRIUM * state.apex_stretch and np.isfinite(values).all():
+    if not defect <= EQUILIBRIUM * state.apex_stretch and np.isfinite(values).all():
         raise ValueError(f"`state` must be an equilibrium of the membrane, but is {state!r}.")
     with np.errstate(invalid="ignore"):
-        error = np.abs(values - coarse.values[:, :count])
-        error += (ROUNDING + STATE_ERROR * state.error_estimate) * np.abs(fine.values[:, count, None])
-        near = (fine.negative != coarse.negative) | ~(np.abs(values) > error).all(axis=1)
-    estimate = np.max(error / np.maximum(np.abs(values), 1e-3), axis=1)
+        error = np.abs(more - coarse.values[:, : count + 1])
+        error += (ROUNDING + STATE_ERROR * state.error_estimate) * np.abs(more[:, -1:])
+        near = (fine.negative != coarse.negative) | ~(np.abs(more) > error).all(axis=1)
+    estimate = np.max(error[:, :count] / np.maximum(np.abs(values), 1e-3), axis=1)
     index = np.ma.MaskedArray(fine.negative.astype(int), mask=near)
     hoop = least_along(fine.radius, fine.hoop)[0]
     kept = {"_vectors": fine.vectors[:, :count], "_edges": fine.edges}
@@ -279,7 +280,7 @@ def _judged(membrane: Membrane, state: State, asked: Asked, coarse: _Level, fine
 
 
 def _held(scene: Scene | Membrane, state: State) -> list[float]:
-    """What a loading adds to the second variation for n = 0: the gas stiffness k, whether V is held, and q/C at held charge."""
+    """What a loading adds to the second variation for n = 0: the gas stiffness k, whether V is held, and q where Q is held."""
     loading = mechanical(scene.loading) if isinstance(scene, Scene) else None
     stiffness = 0.0
     if isinstance(loading, Chamber):
@@ -313,20 +314,21 @@ def _program(elements: int, degree: int, count: int):
     def modes(material, u, holds, numbers, steps):
         parts, stretch_change, hoop = assemble(material, u.T, steps)
         edges = jnp.moveaxis(edges_of(material, u.T, elements), -1, 0)
-        each = jax.vmap(jax.vmap(_modes_of, in_axes=(None, None, 0, None)), in_axes=(0, 0, None, None))
-        found = each(Assembled(*parts), holds, numbers, jnp.zeros(count))
+        lowest = functools.partial(_modes_of, count)
+        each = jax.vmap(jax.vmap(lowest, in_axes=(None, None, 0)), in_axes=(0, 0, None))
+        found = each(parts, holds, numbers)
         return (*found, edges, stretch_change, *hoop)
 
     return cached_jit(modes)
 
 
-def _modes_of(parts: Assembled, holds, n, wanted):
-    """The lowest modes of one state and number n: eigenvalues and the next one, how many are negative, and nodal vectors.
+def _modes_of(count: int, parts: Assembled, holds, n):
+    """The `count` lowest modes of one state and number n: eigenvalues and the next one, how many are negative, and nodal vectors.
 
     At the apex U = V = 0 for n = 0, U + V = 0 and W = 0 for n = 1, and all vanish beyond: one unknown stands for what is left
     there, a spring where nothing is.
     """
-    count, nodes = len(wanted), len(parts.mass)
+    nodes = len(parts.mass)
     free = jnp.where(n == 0, jnp.array([0.0, 0.0, 1.0]), jnp.array([1.0, -1.0, 0.0]) / jnp.sqrt(2.0))
     apex = jnp.where(n <= 1, free, 0.0)
     stiffness = parts.stiffness[0] + n * parts.stiffness[1] + n**2 * parts.stiffness[2]
@@ -347,7 +349,8 @@ def _modes_of(parts: Assembled, holds, n, wanted):
         for f in (parts.volume, parts.charge)
     )
     # what a gas and a held charge add: k (δV)²/(2π) and (q/C)(δC)²/(2π)
-    matrix = matrix + (holds[0] * jnp.outer(volume, volume) + holds[2] * jnp.outer(charge, charge)) / (2 * jnp.pi)
+    gas, electric = holds[0], holds[2] / parts.capacitance
+    matrix = matrix + (gas * jnp.outer(volume, volume) + electric * jnp.outer(charge, charge)) / (2 * jnp.pi)
     root = jnp.linalg.cholesky(weight)
     scaled = _conjugated(root, matrix)
     # a held volume: the direction of δV out of the space

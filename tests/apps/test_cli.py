@@ -102,7 +102,7 @@ BAD = [
     (["sweep", "s.toml", "--output", "s.zarr", "--workers", "2", "--scheduler", "a"], "--scheduler", "with --workers"),
     (["sweep", "s.toml", "--output", "s.zarr", "--accept-versions"], "--accept-versions", "--resume"),
     (["sweep", "s.toml", "--output", "s.zarr", "--export", "s.txt"], "--export", ".nc or .csv"),
-    (["draw"], "COMMAND", "voltage-volume, paper, sweep, calibrate, regimes or optimise, but is 'draw'"),
+    (["draw"], "COMMAND", "voltage-volume, modes, paper, sweep, calibrate, regimes or optimise, but is 'draw'"),
     (["calibrate"], "DATA.csv", "must be given"),
     (["calibrate", "none.csv"], "DATA.csv", "readable CSV file"),
     (["calibrate", "none.csv", "--level", "2"], "--level", "between 0 and 1"),
@@ -219,6 +219,19 @@ def test_equilibrium_all_and_smallest(capsys):
     assert [s["volume"] for s in states] == pytest.approx([2.01878174356, 5.0422739075, 210.518696044], rel=1e-9)
     assert [s["index"] for s in states] == [0, 1, 0]
     assert answer(capsys, "equilibrium", "--pressure", "1.82")["states"] == states[:1]
+
+
+def test_modes_of_a_state(capsys):
+    document = answer(capsys, "modes", "--chamber-volume", "1600", "--initial-volume", "2.42", "--numbers", "0:1")
+    assert [m["number"] for m in document["modes"]] == [0, 1] and document["state"]["volume"] == pytest.approx(2.42)
+    assert [m["index"] for m in document["modes"]] == [0, 0] and len(document["modes"][0]["eigenvalues"]) == 3
+    assert document["modes"][0]["frequency"] is None and document["hoop_tension"] > 0
+    si = ["--si", "--density", "1000", "--pressure", "2000"]  # Pa: 1 in μH/A
+    (mode,) = answer(capsys, "modes", *si, "--numbers", "1", "--count", "1")["modes"]
+    # √(μ/ρ)/(2πA) = 47.45 Hz for μ = 45 kPa, A = 22.5 mm
+    assert mode["frequency"] == [pytest.approx(47.4511 * mode["eigenvalues"][0] ** 0.5, rel=1e-5)]
+    assert "--numbers" in refusal(capsys, "modes", "--pressure", "1", "--numbers", "3:1")
+    assert "--si" in refusal(capsys, "modes", "--pressure", "1", "--density", "1000")
 
 
 def test_material_options_reach_the_material(capsys):

@@ -33,6 +33,7 @@ COMMANDS = {
     "equilibrium": ["--volume", "2.42"],
     "pressure-volume": [],
     "voltage-volume": ["--chamber-volume", "1600", "--initial-volume", "2.42"],
+    "modes": ["--pressure", "1"],
     "sweep": ["sweep.toml", "--output", "s.zarr"],
     "calibrate": ["data.csv"],
     "regimes": ["regimes.toml"],

@@ -30,3 +30,6 @@ def test_bad_input_is_refused(membrane):
         dj.neutral_modes(dj.Scene(membrane, dj.ConstantPressure(1.0)), [0])
     with pytest.raises(ValueError, match="`scene` must be a Scene"):
         dj.neutral_modes(membrane)
+    other = dj.pressure_volume(membrane)
+    with pytest.raises(ValueError, match="`diagram` must be the scene's own"):
+        dj.neutral_modes(dj.Scene(membrane, dj.ConstantVoltage(0.1)), diagram=other)

@@ -104,7 +104,9 @@ MATERIALS = {
 def test_axisymmetric_modes_agree_with_the_index_of_states(name):
     film = dj.Membrane(MATERIALS[name], 1.2)
     states = dj.equilibrium(film, voltage=0.1, pressure=1.0, all=True)
-    for loading in (None, dj.PrescribedVolume(1.0)):
+    # the index of a loading that holds the volume or the charge is that of whatever state it is asked of
+    charged = dj.ChargeControl(dj.ConstantPressure(1.0)), dj.ChargeControl(dj.PrescribedVolume(1.0))
+    for loading in (None, dj.PrescribedVolume(1.0), *charged):
         what = film if loading is None else dj.Scene(film, loading)
         for state, spectrum in zip(states, dj.mode_spectrum(what, states, (0, 1)), strict=True):
             assert spectrum.index[0] == dj.stability_of(what, state).index

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from ..diagram import Diagram, mesh_of, points_where, pressure_volume, voltage_volume
-from ..model import ConstantVoltage, Membrane, Points, Scene, SpecialPoint
+from ..model import ConstantVoltage, Membrane, Points, Scene, SpecialPoint, describe
 from ..modes import lowest_eigenvalues, unstable_numbers
 from .resolution import MODE_SAMPLES, MOST_MODE_NUMBER
 
@@ -63,6 +63,10 @@ def neutral_modes(
     if wrong or not asked:
         raise ValueError(
             f"`numbers` must be whole numbers from 1 to {MOST_MODE_NUMBER}, at least one, but are {wrong or asked!r}."
+        )
+    if diagram is not None and not (diagram.engine == "continuation" and describe(diagram.scene) == describe(scene)):
+        raise ValueError(
+            "`diagram` must be the scene's own, by continuation, but is that of another scene or on a surface."
         )
     if diagram is None and isinstance(scene.loading, ConstantVoltage):
         diagram = pressure_volume(scene.membrane, float(scene.loading.voltage), window=scene.window)
