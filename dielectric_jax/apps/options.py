@@ -345,6 +345,8 @@ def _check(args: argparse.Namespace) -> None:
             raise BadInput("--engine must be continuation with --control charge, but is surface.")
     if args.command == "modes" and args.density is not None and not args.si:
         raise BadInput("--density must be given with --si only.")
+    if args.command == "modes" and args.points is not None and args.chamber_volume is None:
+        raise BadInput("--points must be given with --chamber-volume only for modes, because a state has no branch.")
     if args.command == "modes" and args.figure is not None:
         raise BadInput("--figure must be left out for modes, which has no figure.")
     if args.command == "equilibrium" and args.points is not None and args.figure is None:

@@ -6,14 +6,15 @@ the eigenvalue is a test function, whose root the diagram locates like its other
 """
 
 import dataclasses
+import warnings
 from collections.abc import Iterable
 
 import numpy as np
 
 from ..diagram import Diagram, mesh_of, points_where, pressure_volume, voltage_volume
 from ..model import ConstantVoltage, Membrane, Points, Scene, SpecialPoint, describe
-from ..modes import lowest_eigenvalues, unstable_numbers
-from .resolution import MODE_SAMPLES, MOST_MODE_NUMBER
+from ..modes import checked_numbers, lowest_eigenvalues, unstable_numbers
+from .resolution import MODE_SAMPLES
 
 __all__ = ["neutral_modes"]
 
@@ -58,12 +59,7 @@ def neutral_modes(
     """
     if not isinstance(scene, Scene):
         raise ValueError(f"`scene` must be a Scene, but is a {type(scene).__name__}.")
-    asked = tuple(numbers)
-    wrong = [n for n in asked if not (isinstance(n, (int, np.integer)) and 1 <= n <= MOST_MODE_NUMBER)]
-    if wrong or not asked:
-        raise ValueError(
-            f"`numbers` must be whole numbers from 1 to {MOST_MODE_NUMBER}, at least one, but are {wrong or asked!r}."
-        )
+    asked = checked_numbers(numbers, 1)
     if diagram is not None and not (diagram.engine == "continuation" and describe(diagram.scene) == describe(scene)):
         raise ValueError(
             "`diagram` must be the scene's own, by continuation, but is that of another scene or on a surface."
@@ -74,9 +70,14 @@ def neutral_modes(
         diagram = voltage_volume(scene)
     wanted = []
     for branch, mesh in enumerate(mesh_of(diagram)):
-        for test, interval in _changes(scene.membrane, mesh, tuple(map(int, asked))):
+        for test, interval in _changes(scene.membrane, mesh, asked):
             wanted.append((test, branch, interval))
     found = points_where(diagram, wanted) if wanted else []
+    for point, (test, branch, _) in zip(found, wanted, strict=True):
+        if point is None:
+            warnings.warn(
+                f"A mode of number {test.number} turns neutral on branch {branch}, but was not located.", stacklevel=2
+            )
     located = [
         dataclasses.replace(point, number=test.number, index=point.index)
         for point, (test, *_) in zip(found, wanted, strict=True)

@@ -24,7 +24,6 @@ __all__ = [
     "MANY",
     "MODE_SAMPLES",
     "MOST_LINES",
-    "MOST_MODE_NUMBER",
     "NODES",
     "ON_LEVEL",
     "OVER_CORNER",
@@ -115,5 +114,3 @@ DRAWN = 8
 # ---- neutral modes
 #: points of a branch at which the negative modes are counted
 MODE_SAMPLES = 41
-#: largest circumferential number
-MOST_MODE_NUMBER = 400

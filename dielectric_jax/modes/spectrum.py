@@ -40,9 +40,9 @@ from .resolution import (
 )
 from .second_variation import Assembled, assembled, edges_of
 
-__all__ = ["ModeShape", "ModeSpectrum", "lowest_eigenvalues", "mode_spectrum", "unstable_numbers"]
+__all__ = ["ModeShape", "ModeSpectrum", "checked_numbers", "lowest_eigenvalues", "mode_spectrum", "unstable_numbers"]
 
-# on the CPU two programs that hold eigensolvers wait for each other for ever where XLA has two threads
+# on the CPU two programs that hold eigensolvers wait for each other forever where XLA has two threads
 _ONE_AT_A_TIME = threading.Lock()
 
 
@@ -176,12 +176,7 @@ def mode_spectrum(
     membrane = scene.membrane if isinstance(scene, Scene) else scene
     if not isinstance(membrane, Membrane):
         raise ValueError(f"`scene` must be a Scene or a Membrane, but is a {type(scene).__name__}.")
-    given = tuple(numbers)
-    wrong = [n for n in given if not (isinstance(n, (int, np.integer)) and 0 <= n <= LARGEST_NUMBER)]
-    if wrong or not given:
-        raise ValueError(
-            f"`numbers` must be whole numbers from 0 to {LARGEST_NUMBER}, at least one, but are {wrong or given!r}."
-        )
+    given = checked_numbers(numbers, 0)
     if not (isinstance(count, int) and 1 <= count <= COUNTS[-1]):
         raise ValueError(f"`count` must be a whole number from 1 to {COUNTS[-1]}, but is {count!r}.")
     if not 1e-12 <= tolerance <= 1e-2:
@@ -190,8 +185,19 @@ def mode_spectrum(
     for s in states:
         if not isinstance(s, State):
             raise ValueError(f"`state` must be a State or a sequence of them, but holds a {type(s).__name__}.")
-    found = _spectra(scene, membrane, states, Asked(tuple(map(int, given)), count, tolerance))
+    found = _spectra(scene, membrane, states, Asked(given, count, tolerance))
     return found[0] if isinstance(state, State) else found
+
+
+def checked_numbers(numbers: Iterable[int], least: int) -> tuple[int, ...]:
+    """Circumferential numbers, whole and from `least`; raises ValueError for others."""
+    given = tuple(numbers)
+    wrong = [n for n in given if not (isinstance(n, (int, np.integer)) and least <= n <= LARGEST_NUMBER)]
+    if wrong or not given:
+        raise ValueError(
+            f"`numbers` must be whole numbers from {least} to {LARGEST_NUMBER}, at least one, but are {wrong or given!r}."
+        )
+    return tuple(map(int, given))
 
 
 class _Level(typing.NamedTuple):
