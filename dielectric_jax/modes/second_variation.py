@@ -13,36 +13,54 @@ and with w(λ1, λ2) = W − q e (λ1 λ2)²/2 at fixed q, w_i and w_ij its deri
 
     C12, D12 = (M ± P)/2,   P = (w1 + w2)/(λ1 + λ2),   M = (w1 − w2)/(λ1 − λ2).
 
-The integrand is a quadratic form of (U, V, W, U', V', W') whose matrix is a polynomial of second degree in n: three
-matrices serve every n. Displacements are polynomials on elements along R, continuous from one to the next.
+The integrand is a quadratic form of (U, V, W, U', V', W') whose matrix is a polynomial of second degree in n: on the basis of
+a parity of n (see `basis`) three matrices serve every n.
 """
 
-import functools
 import typing
-from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from ..model import apex_series, capacitance, eighth_order_step, integrate_membrane, slopes, stresses
-from .basis import gauss, lagrange, lobatto
-from .resolution import MEAN_NODES, MORE_POINTS, NEAR_APEX, NEAR_EQUAL
+from .basis import PAIRS, Tables, coordinate, gauss
+from .resolution import APEX_RADII, MEAN_NODES, MORE_POINTS, NEAR_APEX, NEAR_EQUAL
 
-__all__ = ["Assembled", "assembled", "edges_of"]
+__all__ = ["Assembled", "Sampled", "assembled", "sampled"]
+
+# U, V, W and their derivatives by A, B, W and theirs
+_HALVES = np.kron(np.eye(2), np.array([[1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 0.0, np.sqrt(2.0)]]) / np.sqrt(2.0))
 
 
-class Assembled(typing.NamedTuple):
-    """The second variation on the nodes of the elements, of one state or with lanes in front.
+class Sampled(typing.NamedTuple):
+    """A state at the Gauss points of the basis, lanes in front, for displacements A, B, W.
 
-    `stiffness` (3, N, 3, N, 3) holds the coefficients of 1, n, n²; `mass` (N, N) is ∫ φ φ R dR; `volume` and `charge` (N, 3)
-    are the first variations of V and of `capacitance`, C = Q/Φ, for n = 0.
+    `form` (lanes, 3, 2, 3, 2, 3, points) is the integrand of the second variation: the coefficients of 1, n, n² by the slope and
+    component of one and the other function of ξ, with the weights of the points; `volume` and `charge`
+    (lanes, 2, 3, points) are those of the first variations of V and of `capacitance` (lanes,), C = Q/Φ, for n = 0.
+    `hoop` (lanes, points + 2) is the true hoop stress from the apex to the rim, `sharpness` the length s of the coordinate,
+    and `stretch_change` λ2(1) − λa.
     """
 
-    stiffness: jax.Array
-    mass: jax.Array
+    form: jax.Array
     volume: jax.Array
     charge: jax.Array
     capacitance: jax.Array
+    hoop: jax.Array
+    sharpness: jax.Array
+    stretch_change: jax.Array
+
+
+class Assembled(typing.NamedTuple):
+    """The second variation of one state on the N functions of a parity, whose mass is the identity.
+
+    `stiffness` (3, N, N) holds the coefficients of 1, n, n²; `volume` and `charge` (N,) are first variations.
+    """
+
+    stiffness: jax.Array
+    volume: jax.Array
+    charge: jax.Array
 
 
 class _Base(typing.NamedTuple):
@@ -53,13 +71,6 @@ class _Base(typing.NamedTuple):
     l2: jax.Array
     sine: jax.Array
     cosine: jax.Array
-
-
-def edges_of(material, u, elements: int):
-    """The edges (elements + 1, lanes) of the elements: even up to the radius of a sharp apex, then growing."""
-    scale = jnp.minimum(1 / apex_series(material, *u)[2], 1.0)
-    edges = scale * jnp.sinh(jnp.linspace(0.0, 1.0, elements + 1)[:, None] * jnp.arcsinh(1 / scale))
-    return edges.at[-1].set(1.0)
 
 
 def _base(material, u, steps, radius) -> tuple[_Base, jax.Array]:
@@ -141,69 +152,63 @@ def _integrand(material, base: _Base, p, q) -> jax.Array:
     return jnp.stack([product(zeroth, zeroth) - p * still, mixed - p * turning, product(first, first)])
 
 
-def _gathered(parts, elements: int, degree: int, axes: tuple[int, ...]):
-    """The sum of the parts of every element, first axis, on the nodes that they share; `axes` of a part count its nodes."""
-    count = elements * degree + 1
-    shape = [count if k in axes else size for k, size in enumerate(parts.shape[1:])]
-    whole = jnp.zeros(shape)
-    for e in range(elements):
-        own = slice(e * degree, (e + 1) * degree + 1)
-        whole = whole.at[tuple(own if k in axes else slice(None) for k in range(len(shape)))].add(parts[e])
-    return whole
+def sampled(size: int):
+    """`sample(material, u, steps)` of states u (3, lanes): `Sampled`, for a basis of `size` functions a component."""
+    x, weights = gauss(size + MORE_POINTS)
+    xi = np.sqrt(x)[:, None]
 
-
-def assembled(elements: int, degree: int) -> Callable:
-    """`assemble(material, u, steps)` of states u (3, lanes): `Assembled` with lanes in front, λ2(1) − λa, and R and σ2.
-
-    R and σ2 (lanes, points) are those of the apex, of the Gauss points and of the rim.
-    """
-    nodes, weights = gauss(degree + MORE_POINTS)
-    values, rates = lagrange(lobatto(degree), nodes)
-
-    def assemble(material, u, steps):
-        edges = edges_of(material, u, elements)
-        size = edges[1:] - edges[:-1]
-        radius = edges[:-1, None] + size[:, None] * nodes[:, None]  # (elements, points, lanes)
-        flat = radius.reshape(-1, radius.shape[-1])
-        apex, rim = jnp.full_like(flat[:1], NEAR_APEX), jnp.ones_like(flat[:1])
-        whole, stretch_change = _base(material, u, steps, jnp.concatenate([apex, flat, rim]))
+    def sample(material, u, steps) -> Sampled:
+        sharpness = jnp.minimum(APEX_RADII / apex_series(material, *u)[2], 1.0)
+        at = coordinate(sharpness, xi)
+        apex, rim = jnp.full_like(at.radius[:1], NEAR_APEX), jnp.ones_like(at.radius[:1])
+        whole, stretch_change = _base(material, u, steps, jnp.concatenate([apex, at.radius, rim]))
         hoop = whole.l2 * stresses(material, whole.l1, whole.l2, u[2])[1]
         base = jax.tree.map(lambda v: v[1:-1], whole)
-        weight = weights[:, None] * size[:, None]
-        basis = jnp.stack(
-            [
-                jnp.broadcast_to(values[..., None], (elements, *values.shape, flat.shape[1])),
-                rates[..., None] / size[:, None, None],
-            ]
-        )  # the functions and their slopes: (2, elements, points, nodes, lanes)
-        form = _integrand(material, base, *u[1:]).reshape(3, 2, 3, 2, 3, *radius.shape)
-        local = jnp.einsum("eql,deqal,ndifjeql,feqbl->elnaibj", weight, basis, form, basis)
-        stiffness = _gathered(local, elements, degree, (2, 4))
-        mass = _gathered(jnp.einsum("eql,qa,qb->elab", weight * radius, values, values), elements, degree, (1, 2))
-        gather = functools.partial(_functional, weight=2 * jnp.pi * weight, basis=basis)
-        r = flat * base.l2
-        volume = gather([r * base.l1 * base.sine, None], [None, r**2 / 2])
+        # a function is φ = h/√m, φ' = (h (1/√m)' + h'/√m)/R'
+        o = jnp.zeros_like(at.scale)
+        change = jnp.stack([jnp.stack([at.scale, o]), jnp.stack([at.scale_rate, at.scale]) / at.rate])
+        weight = weights[:, None] * at.rate / (2 * xi)
+        form = jnp.einsum("ki,nklxs,lj->nijxs", _HALVES, _integrand(material, base, *u[1:]), _HALVES) * weight
+        form = form.reshape(3, 2, 3, 2, 3, *weight.shape)
+        form = jnp.einsum("dexs,ndifjxs,fcxs->sneicjx", change, form, change)
+
+        def functional(radial, vertical):
+            zero = [jnp.zeros_like(weight)] * 2
+            by_u, by_w = ([o if f is None else f for f in pair] for pair in (radial, vertical))
+            rows = jnp.stack([jnp.stack(v) for v in zip(by_u, zero, by_w, strict=True)]) * 2 * jnp.pi * weight
+            rows = jnp.einsum("dixs,ij->djxs", rows, _HALVES[:3, :3])
+            return jnp.einsum("dexs,dixs->seix", change, rows)
+
+        r = base.radius * base.l2
+        volume = functional([r * base.l1 * base.sine, None], [None, r**2 / 2])
         c1, c2 = jax.grad(lambda a, b: jnp.sum(capacitance(material, a, b)), argnums=(0, 1))(base.l1, base.l2)
-        charge = gather([c2, c1 * base.cosine * flat], [None, c1 * base.sine * flat])
-        local = capacitance(material, base.l1, base.l2).reshape(radius.shape)
-        total = 2 * jnp.pi * jnp.sum(weight * radius * local, axis=(0, 1))
-        return Assembled(stiffness, mass, volume, charge, total), stretch_change, (whole.radius.T, hoop.T)
+        charge = functional([c2, c1 * base.cosine * base.radius], [None, c1 * base.sine * base.radius])
+        total = 2 * jnp.pi * jnp.sum(weight * base.radius * capacitance(material, base.l1, base.l2), axis=0)
+        return Sampled(form, volume, charge, total, hoop.T, sharpness, stretch_change)
 
-    return assemble
+    return sample
 
 
-def _functional(radial, vertical, *, weight, basis):
-    """∫ (a U + b U' + c W + d W') dR as coefficients (lanes, N, 3), of `radial` (a, b) and `vertical` (c, d), None for 0."""
-    elements, points, lanes = weight.shape
-    degree = basis.shape[3] - 1
+def assembled(parts: Sampled, tables: Tables) -> Assembled:
+    """The second variation on a basis, with the lanes of `parts` in front."""
+    lanes, many = len(parts.form), tables.basis.shape[2]
+    form = parts.form[:, :, :, tables.order][:, :, :, :, :, tables.order]
+    pairs = jnp.stack([form[:, :, :, i, :, j].reshape(lanes, 3, -1) for i, j in PAIRS])
+    blocks = jnp.einsum("psnk,pgk->psng", pairs, tables.products).reshape(6, lanes, 3, many, many)
+    place = {pair: k for k, pair in enumerate(PAIRS)}
+    rows = [
+        [blocks[place[i, j]] if i <= j else jnp.swapaxes(blocks[place[j, i]], -1, -2) for j in range(3)]
+        for i in range(3)
+    ]
+    # the second and third component have one function less
+    kept = [many, many - 1, many - 1]
+    stiffness = jnp.concatenate(
+        [jnp.concatenate([b[..., :g, :h] for b, h in zip(row, kept, strict=True)], axis=-1) for row, g in zip(rows, kept, strict=True)],
+        axis=-2,
+    )  # fmt: skip
 
-    def on_nodes(pair):
-        terms = [
-            jnp.einsum("eql,eqal->ela", weight * f.reshape(elements, points, lanes), basis[k])
-            for k, f in enumerate(pair)
-            if f is not None
-        ]
-        return _gathered(sum(terms), elements, degree, (1,))
+    def functional(rows):
+        by_function = jnp.einsum("seix,iegx->sig", rows[:, :, tables.order], tables.basis)
+        return jnp.concatenate([by_function[:, i, :g] for i, g in enumerate(kept)], axis=-1)
 
-    along, up = on_nodes(radial), on_nodes(vertical)
-    return jnp.stack([along, jnp.zeros_like(along), up], axis=-1)
+    return Assembled(stiffness, functional(parts.volume), functional(parts.charge))

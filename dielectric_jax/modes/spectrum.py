@@ -2,13 +2,13 @@
 
 import dataclasses
 import functools
-import threading
 import typing
 from collections.abc import Iterable, Sequence
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.interpolate import BarycentricInterpolator
 
 from ..model import (
     Chamber,
@@ -22,28 +22,28 @@ from ..model import (
     mechanical,
     plain,
 )
-from ..numerics import cached_jit, run_lanes
-from .basis import lagrange, lobatto
+from ..numerics import cached_jit, lapack_alone, lowest_eigenpairs, number_below, run_lanes, tridiagonal
+from .basis import Tables, apex_sample, coordinate, functions, gauss, tables
 from .resolution import (
     COUNTS,
-    ELEMENTS,
+    DROPPED,
     EQUILIBRIUM,
+    HOOP_POINTS,
     LARGEST_NUMBER,
+    NEAR_APEX,
     NEUTRAL_TOLERANCE,
     NUMBERS_TOGETHER,
     PROFILE_STEPS,
     ROUNDING,
     SHAPE_POINTS,
     SIGN_TOLERANCE,
+    SIZES,
     STATE_ERROR,
     STATES_TOGETHER,
 )
-from .second_variation import Assembled, assembled, edges_of
+from .second_variation import Assembled, Sampled, assembled, sampled
 
 __all__ = ["ModeShape", "ModeSpectrum", "checked_numbers", "lowest_eigenvalues", "mode_spectrum", "unstable_numbers"]
-
-# on the CPU two programs that hold eigensolvers wait for each other forever where XLA has two threads
-_ONE_AT_A_TIME = threading.Lock()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,7 +79,7 @@ class ModeSpectrum:
     hoop_tension: float
     state: State
     _vectors: np.ndarray = dataclasses.field(repr=False)
-    _edges: np.ndarray = dataclasses.field(repr=False)
+    _sharpness: float = dataclasses.field(repr=False)
 
     @property
     def wrinkled(self) -> bool:
@@ -110,15 +110,8 @@ class ModeSpectrum:
                 f"`which` must be a whole number from 0 to {self.eigenvalues.shape[1] - 1}, but is {which!r}."
             )
         k = self.numbers.index(number)
-        vector = self._vectors[k, which]
-        elements = len(self._edges) - 1
-        degree = (len(vector) - 1) // elements
         radius = np.linspace(0.0, 1.0, SHAPE_POINTS)
-        e = np.clip(np.searchsorted(self._edges, radius, side="right") - 1, 0, elements - 1)
-        share = (radius - self._edges[e]) / (self._edges[e + 1] - self._edges[e])
-        values, _ = lagrange(lobatto(degree), share)
-        local = vector[e[:, None] * degree + np.arange(degree + 1)]
-        u, v, w = np.einsum("ka,kai->ik", values, local)
+        u, v, w = _displacement(self._vectors[k, which], number, self._sharpness, radius)
         largest = max((u, v, w), key=lambda x: np.abs(x).max())
         sign = np.sign(largest[np.argmax(np.abs(largest))])
         return ModeShape(number, float(self.eigenvalues[k, which]), radius, sign * u, sign * v, sign * w)
@@ -200,16 +193,33 @@ def checked_numbers(numbers: Iterable[int], least: int) -> tuple[int, ...]:
     return tuple(map(int, given))
 
 
+def _displacement(vector: np.ndarray, number: int, sharpness: float, radius: np.ndarray) -> tuple:
+    """U, V, W at radii, of a mode on the functions of its basis."""
+    size = (len(vector) - 1) // 3
+    odd = bool(number % 2)
+    basis = tables(size, odd)
+    xi = np.maximum(apex_sample(sharpness, radius), NEAR_APEX)
+    first = (basis.free @ vector[: size + 1]) @ functions(0, size + 1, xi)[0]
+    second = vector[size + 1 : 2 * size + 1] @ functions(2 if odd else 1, size, xi)[0]
+    third = vector[2 * size + 1 :] @ functions(1, size, xi)[0]
+    parts = np.stack([first, second, third]) * np.asarray(coordinate(sharpness, xi).scale)
+    a, b, w = parts[np.argsort(basis.order)]
+    return (a + b) / np.sqrt(2), (a - b) / np.sqrt(2), w
+
+
 class _Level(typing.NamedTuple):
-    """What one mesh gives of states: arrays with the states in front, then the numbers; the last of the values is not exact."""
+    """What one basis gives of states: arrays with the states in front, then the numbers.
+
+    `values` and `error` hold one eigenvalue more than asked for; `below` counts the eigenvalues below −δ, 0 and δ, the largest error.
+    """
 
     values: np.ndarray
-    negative: np.ndarray
+    error: np.ndarray
+    below: np.ndarray
     vectors: np.ndarray
-    edges: np.ndarray
-    stretch_change: np.ndarray
-    radius: np.ndarray
     hoop: np.ndarray
+    sharpness: np.ndarray
+    stretch_change: np.ndarray
 
 
 class Asked(typing.NamedTuple):
@@ -218,71 +228,76 @@ class Asked(typing.NamedTuple):
     numbers: tuple[int, ...]
     count: int
     tolerance: float
-    counted: bool = True  # whether two meshes must have as many negative modes
 
 
 def _spectra(scene, membrane: Membrane, states: list[State], asked: Asked) -> list:
     u = np.array([[s.apex_stretch, s.pressure, s.voltage_squared] for s in states]).reshape(-1, 3)
-    holds = np.array([_held(scene, s) for s in states]).reshape(-1, 3)
-    pairs = _converged(membrane, u, holds, asked)
-    return [_judged(membrane, state, asked, *pair) for state, pair in zip(states, pairs, strict=True)]
+    holds = np.array([[*_held(scene, s), s.error_estimate] for s in states]).reshape(-1, 4)
+    found = _converged(membrane, u, holds, asked)
+    return [_judged(membrane, state, asked, level) for state, level in zip(states, found, strict=True)]
 
 
-def _converged(membrane: Membrane, u: np.ndarray, holds: np.ndarray, asked: Asked) -> list[tuple[_Level, _Level]]:
-    """Of each state (λa, p, q), rows of `u`, the first two meshes that agree to the tolerance, or the two finest."""
-    last: dict[int, _Level] = {}
+def _converged(membrane: Membrane, u: np.ndarray, holds: np.ndarray, asked: Asked) -> list[_Level]:
+    """Of each state (λa, p, q), rows of `u`, the first basis that is right to the tolerance, or the largest."""
     found: list = [None] * len(u)
     todo = list(range(len(u)))
-    for level in range(len(ELEMENTS)):
+    for level in range(len(SIZES)):
         if not todo:
             break
         here = level_of(membrane, (u[todo], holds[todo]), asked, level)
+        again = []
         for k, i in enumerate(todo):
-            one = _Level(*(v[k] for v in here))
-            found[i] = (last[i], one) if i in last else None
-            last[i] = one
-        todo = [i for i in todo if found[i] is None or not _agree(*found[i], asked)]
+            before, found[i] = found[i], jax.tree.map(lambda v, k=k: v[k], here)
+            if not _is_right(before, found[i], asked):
+                again.append(i)
+        todo = again
     return found
 
 
-def _agree(coarse: _Level, fine: _Level, asked: Asked) -> bool:
-    """Whether two meshes give the same eigenvalues, to the tolerance, and the same indices."""
-    values, others = (level.values[:, : asked.count] for level in (fine, coarse))
+def _is_right(before: _Level | None, level: _Level, asked: Asked) -> bool:
+    """Whether eigenvalues are right to the tolerance, and all negative ones are among them or as many on the basis before."""
+    values, error = (v[:, : asked.count] for v in (level.values, level.error))
     with np.errstate(invalid="ignore"):
-        near = np.abs(values - others) <= asked.tolerance * np.maximum(np.abs(values), 1.0)
-    return bool(near.all() and (not asked.counted or (fine.negative == coarse.negative).all()))
+        near = error <= asked.tolerance * np.maximum(np.abs(values), 1.0)
+    negative = level.below[:, 1]
+    counted = (negative <= asked.count) | (before is not None and negative == before.below[:, 1])
+    return bool(near.all() and counted.all())
 
 
 def lowest_eigenvalues(membrane: Membrane, u: np.ndarray, number: int, count: int) -> np.ndarray:
     """The `count` lowest eigenvalues (states, count) of a number n ≥ 1 at equilibria u (3, states): λa, p, q."""
-    asked = Asked((number,), count, NEUTRAL_TOLERANCE, counted=False)
-    pairs = _converged(membrane, np.asarray(u, float).T, np.zeros((u.shape[1], 3)), asked)
-    return np.array([fine.values[0, :count] for _, fine in pairs]).reshape(-1, count)
+    asked = Asked((number,), count, NEUTRAL_TOLERANCE)
+    found = _converged(membrane, np.asarray(u, float).T, np.zeros((u.shape[1], 4)), asked)
+    return np.array([level.values[0, :count] for level in found]).reshape(-1, count)
 
 
 def unstable_numbers(membrane: Membrane, u: np.ndarray, numbers: Sequence[int]) -> np.ndarray:
     """Whether a mode of each number n ≥ 1 lowers the energy, (states, numbers), at equilibria u (3, states): λa, p, q."""
-    asked = Asked(tuple(numbers), 1, SIGN_TOLERANCE, counted=False)
-    pairs = _converged(membrane, np.asarray(u, float).T, np.zeros((u.shape[1], 3)), asked)
-    return np.array([fine.values[:, 0] < 0 for _, fine in pairs]).reshape(-1, len(asked.numbers))
+    asked = Asked(tuple(numbers), 1, SIGN_TOLERANCE)
+    found = _converged(membrane, np.asarray(u, float).T, np.zeros((u.shape[1], 4)), asked)
+    return np.array([level.values[:, 0] < 0 for level in found]).reshape(-1, len(asked.numbers))
 
 
-def _judged(membrane: Membrane, state: State, asked: Asked, coarse: _Level, fine: _Level) -> ModeSpectrum:
-    """The spectrum of a state from two meshes."""
+def _judged(membrane: Membrane, state: State, asked: Asked, level: _Level) -> ModeSpectrum:
+    """The spectrum of a state from one basis."""
     count = asked.count
-    values, more = fine.values[:, :count], fine.values[:, : count + 1]
-    defect = abs(float(fine.stretch_change) - (float(membrane.prestretch) - state.apex_stretch))
+    values, error = level.values[:, :count], level.error[:, :count]
+    defect = abs(float(level.stretch_change) - (float(membrane.prestretch) - state.apex_stretch))
     if not defect <= EQUILIBRIUM * state.apex_stretch and np.isfinite(values).all():
         raise ValueError(f"`state` must be an equilibrium of the membrane, but is {state!r}.")
-    with np.errstate(invalid="ignore"):
-        error = np.abs(more - coarse.values[:, : count + 1])
-        error += (ROUNDING + STATE_ERROR * state.error_estimate) * np.abs(more[:, -1:])
-        near = (fine.negative != coarse.negative) | ~(np.abs(more) > error).all(axis=1)
-    estimate = np.max(error[:, :count] / np.maximum(np.abs(values), 1e-3), axis=1)
-    index = np.ma.MaskedArray(fine.negative.astype(int), mask=near)
-    hoop = least_along(fine.radius, fine.hoop)[0]
-    kept = {"_vectors": fine.vectors[:, :count], "_edges": fine.edges}
-    return ModeSpectrum(asked.numbers, values, index, estimate, hoop, state, **kept)
+    estimate = np.max(error / np.maximum(np.abs(values), 1e-3), axis=1)
+    near = (level.below[:, 0] != level.below[:, 2]) | ~np.isfinite(values).all(axis=1)
+    index = np.ma.MaskedArray(level.below[:, 1].astype(int), mask=near)
+    kept = {"_vectors": level.vectors[:, :count], "_sharpness": float(level.sharpness)}
+    return ModeSpectrum(asked.numbers, values, index, estimate, _least(level.hoop), state, **kept)
+
+
+def _least(hoop: np.ndarray) -> float:
+    """The least hoop stress, of the polynomial in ξ² through the apex, the Gauss points and the rim."""
+    x = np.concatenate([[0.0], gauss(len(hoop) - 2)[0], [1.0]])
+    along = BarycentricInterpolator(x, hoop)
+    points = np.linspace(0.0, 1.0, HOOP_POINTS)
+    return least_along(points, np.asarray(along(points**2)))[0]
 
 
 def _held(scene: Scene | Membrane, state: State) -> list[float]:
@@ -296,86 +311,106 @@ def _held(scene: Scene | Membrane, state: State) -> list[float]:
 
 
 def level_of(membrane: Membrane, lanes: tuple, asked: Asked, level: int) -> _Level:
-    """One mesh for states (λa, p, q) and what their loadings hold."""
-    program, blocks = _program(*ELEMENTS[level], next(n for n in COUNTS if n >= asked.count)), []
-    steps = np.asarray(PROFILE_STEPS[level])
-    for first in range(0, len(asked.numbers), NUMBERS_TOGETHER):
-        own = np.array(asked.numbers[first : first + NUMBERS_TOGETHER], float)
-        padded = np.pad(own, (0, NUMBERS_TOGETHER - len(own)), mode="edge")
+    """One basis for states (λa, p, q) and what their loadings hold."""
+    size, together, steps = SIZES[level], STATES_TOGETHER[level], np.asarray(PROFILE_STEPS[level])
+    u, holds = lanes
+    sample, modes = _sampling(size), _modes(size, next(n for n in COUNTS if n >= asked.count))
+    states = run_lanes(
+        lambda u: sample(membrane.material, u.T, steps), u, sizes=together, axis=0, out_axis=0, parallel=False
+    )
+    blocks, places = [], []
+    for odd in (False, True):
+        own = [k for k, n in enumerate(asked.numbers) if n % 2 == odd]
+        basis = tables(size, odd)
+        for first in range(0, len(own), NUMBERS_TOGETHER):
+            part = own[first : first + NUMBERS_TOGETHER]
+            numbers = np.array([asked.numbers[k] for k in part], float)
+            padded = np.pad(numbers, (0, NUMBERS_TOGETHER - len(part)), mode="edge")
 
-        def modes(part, n=padded):
-            with _ONE_AT_A_TIME:
-                return jax.block_until_ready(program(membrane.material, *part, n, steps))
+            def run(own, n=padded, basis=basis):
+                with lapack_alone():
+                    return jax.block_until_ready(modes(*own, n, basis))
 
-        found = run_lanes(modes, lanes, sizes=STATES_TOGETHER, axis=0, out_axis=0, parallel=False)
-        blocks.append([v[:, : len(own)] for v in found[:3]])
-    return _Level(*(np.concatenate(parts, axis=1) for parts in zip(*blocks, strict=True)), *found[3:])
+            found = run_lanes(run, (states, holds), sizes=together, axis=0, out_axis=0, parallel=False)
+            places += part
+            blocks.append([v[:, : len(part)] for v in found])
+    back = np.argsort(places)
+    values, error, below, vectors = (np.concatenate(v, axis=1)[:, back] for v in zip(*blocks, strict=True))
+    return _Level(values, error, below, vectors, states.hoop, states.sharpness, states.stretch_change)
 
 
 @functools.cache
-def _program(elements: int, degree: int, count: int):
-    """The lowest modes of states and numbers on one mesh, as a compiled program; the fields of `_Level`."""
-    assemble = assembled(elements, degree)
+def _sampling(size: int):
+    """States at the points of a basis, as a compiled program."""
+    return cached_jit(sampled(size))
 
-    def modes(material, u, holds, numbers, steps):
-        parts, stretch_change, hoop = assemble(material, u.T, steps)
-        edges = jnp.moveaxis(edges_of(material, u.T, elements), -1, 0)
-        lowest = functools.partial(_modes_of, count)
-        each = jax.vmap(jax.vmap(lowest, in_axes=(None, None, 0)), in_axes=(0, 0, None))
-        found = each(parts, holds, numbers)
-        return (*found, edges, stretch_change, *hoop)
+
+@functools.cache
+def _modes(size: int, count: int):
+    """The lowest modes of states and numbers of one parity, as a compiled program: the first fields of `_Level`."""
+
+    def modes(states: Sampled, holds, numbers, basis: Tables):
+        parts = assembled(states, basis)
+        lanes, many = len(holds), len(numbers)
+        holds = jnp.concatenate([holds, states.capacitance[:, None]], axis=1)
+        matrices = jax.vmap(_matrices, in_axes=(0, 0, None))(parts, holds, numbers)
+        matrices = matrices.reshape(lanes * many, *matrices.shape[2:])
+        t = tridiagonal(matrices)
+        values, vectors = lowest_eigenpairs(matrices, t, count + 1)
+        few, more = (
+            _truncated(d * DROPPED, matrices, values, vectors, jnp.tile(numbers, lanes), basis) for d in (1, 2)
+        )
+        # the error falls with the functions like a geometric sequence; half of the next ratio is kept as a margin
+        error = few * jnp.sqrt(jnp.minimum(few / jnp.maximum(more, 1e-300), 1.0))
+        rounding = ROUNDING + STATE_ERROR * jnp.repeat(holds[:, 3], many)[:, None]
+        error = error + rounding * jnp.abs(values[:, -1:])
+        largest = jnp.max(error, axis=1)
+        below = number_below(t, jnp.stack([-largest, jnp.zeros_like(largest), largest])).T
+        found = values, error, below, jnp.swapaxes(vectors, 1, 2)
+        return tuple(v.reshape(lanes, many, *v.shape[1:]) for v in found)
 
     return cached_jit(modes)
 
 
-def _modes_of(count: int, parts: Assembled, holds, n):
-    """The `count` lowest modes of one state and number n: eigenvalues and the next one, how many are negative, and nodal vectors.
+def _truncated(dropped: int, matrices, values, vectors, numbers, basis: Tables):
+    """How much an eigenvalue rises without the last functions of each component: tᵀ(A − Λ)t of what they hold of its vector."""
+    size = basis.basis.shape[2] - 1
+    many = np.array([size + 1, size, size])
+    last = np.concatenate([np.arange(m) >= m - dropped for m in many])
+    # for n ≤ 1 the first component is free at the apex
+    free = jnp.einsum("fg,mgk->mfk", basis.free, vectors[:, : size + 1])
+    free = jnp.einsum("fg,mfk->mgk", basis.free, jnp.where(last[: size + 1, None], free, 0.0))
+    pinned = np.arange(size + 1) >= size - dropped
+    first = jnp.where((numbers > 1)[:, None, None], jnp.where(pinned[:, None], vectors[:, : size + 1], 0.0), free)
+    kept = jnp.concatenate([first, jnp.where(last[size + 1 :, None], vectors[:, size + 1 :], 0.0)], axis=1)
+    return jnp.abs(jnp.sum(kept * (matrices @ kept), axis=1) - values * jnp.sum(kept**2, axis=1))
 
-    At the apex U = V = 0 for n = 0, U + V = 0 and W = 0 for n = 1, and all vanish beyond: one unknown stands for what is left
-    there, a spring where nothing is.
+
+def _matrices(parts: Assembled, holds, numbers):
+    """The second variation (numbers, N, N) of one state.
+
+    For n ≥ 2 the first component vanishes at the apex too, and a spring takes the place of the function that does not.
     """
-    nodes = len(parts.mass)
-    free = jnp.where(n == 0, jnp.array([0.0, 0.0, 1.0]), jnp.array([1.0, -1.0, 0.0]) / jnp.sqrt(2.0))
-    apex = jnp.where(n <= 1, free, 0.0)
-    stiffness = parts.stiffness[0] + n * parts.stiffness[1] + n**2 * parts.stiffness[2]
-    mass = jnp.einsum("ab,ij->aibj", parts.mass, jnp.eye(3))
+    k, n = parts.stiffness, numbers[:, None, None]
+    stiffness = k[0] + n * k[1] + n**2 * k[2]
+    size = (k.shape[-1] - 1) // 3
+    spring = jnp.max(jnp.diagonal(k[0]))
+    unit = np.zeros(k.shape[-1])
+    unit[size] = 1.0
+    held = jnp.where(numbers > 1, 0.0, 1.0)[:, None, None]
+    without = stiffness * (1 - unit[:, None]) * (1 - unit)
+    stiffness = jnp.where(held == 0, without + spring * np.outer(unit, unit), stiffness)
+    return stiffness + jnp.where(n == 0, _held_forms(parts, holds, stiffness[0]), 0.0)
 
-    def reduced(whole):
-        inner = whole[1:-1, :, 1:-1, :].reshape(3 * (nodes - 2), -1)
-        side = jnp.einsum("i,ibj->bj", apex, whole[0, :, 1:-1, :]).reshape(-1)
-        corner = apex @ whole[0, :, 0, :] @ apex
-        return jnp.block([[corner[None, None], side[None]], [side[:, None], inner]])
 
-    matrix, weight = reduced(stiffness), reduced(mass)
-    pinned = jnp.where(n <= 1, 0.0, 1.0)
-    weight = weight.at[0, 0].add(pinned)
-    matrix = matrix.at[0, 0].add(pinned * jnp.abs(matrix[1, 1] / weight[1, 1]))
-    volume, charge = (
-        jnp.where(n == 0, jnp.concatenate([(apex @ f[0])[None], f[1:-1].reshape(-1)]), 0.0)
-        for f in (parts.volume, parts.charge)
+def _held_forms(parts: Assembled, holds, stiffness):
+    """What gas, a held charge and a held volume add for n = 0: k (δV)²/(2π), (q/C)(δC)²/(2π), and δV out of the space."""
+    gas, electric = holds[0], holds[2] / holds[4]
+    added = (gas * jnp.outer(parts.volume, parts.volume) + electric * jnp.outer(parts.charge, parts.charge)) / (
+        2 * jnp.pi
     )
-    # what a gas and a held charge add: k (δV)²/(2π) and (q/C)(δC)²/(2π)
-    gas, electric = holds[0], holds[2] / parts.capacitance
-    matrix = matrix + (gas * jnp.outer(volume, volume) + electric * jnp.outer(charge, charge)) / (2 * jnp.pi)
-    root = jnp.linalg.cholesky(weight)
-    scaled = _conjugated(root, matrix)
-    # a held volume: the direction of δV out of the space
-    line = jax.scipy.linalg.solve_triangular(root, volume, lower=True)
-    line = holds[1] * line / jnp.maximum(jnp.linalg.norm(line), 1e-300)
+    line = holds[1] * parts.volume / jnp.maximum(jnp.linalg.norm(parts.volume), 1e-300)
     across = jnp.eye(len(line)) - jnp.outer(line, line)
-    scaled = across @ scaled @ across + jnp.max(jnp.abs(jnp.diag(scaled))) * jnp.outer(line, line)
-    values, vectors = jnp.linalg.eigh(scaled)
-    modes = jax.scipy.linalg.solve_triangular(root.T, vectors[:, :count], lower=False)
-    # rounding of the eigensolver is that of the largest eigenvalue; that of the quotient is not
-    exact = jnp.einsum("ik,ij,jk->k", modes, matrix, modes)
-    negative = jnp.sum(values[count:] < 0) + jnp.sum(exact < 0)
-    inner = modes[1:].T.reshape(count, nodes - 2, 3)
-    ends = modes[0][:, None, None] * apex, jnp.zeros((count, 1, 3))
-    return jnp.append(exact, values[count]), negative, jnp.concatenate([ends[0], inner, ends[1]], axis=1)
-
-
-def _conjugated(root, matrix):
-    """L⁻¹ A L⁻ᵀ, symmetric."""
-    half = jax.scipy.linalg.solve_triangular(root, matrix, lower=True)
-    whole = jax.scipy.linalg.solve_triangular(root, half.T, lower=True)
-    return (whole + whole.T) / 2
+    whole = stiffness + added
+    stiff = jnp.max(jnp.abs(jnp.diag(whole)))
+    return across @ whole @ across + stiff * jnp.outer(line, line) - stiffness

@@ -2,6 +2,7 @@ from .cache import cache_folder, enable_compilation_cache, enabled_folder, is_ow
 from .codes import Code, SceneError, StoreError, WorkersLost, check_between, check_positive, check_whole, shown
 from .compiled import cached_jit, elementwise, of_this_package, source_digest
 from .continuation import Problem, Steps, Trace, Walk, advance, begin, shorter, stepped, trace
+from .eigen import Eigenpairs, Tridiagonal, lapack_alone, lowest_eigenpairs, number_below, tridiagonal
 from .elementary import log1p, reciprocal, sine_cosine, softplus
 from .lanes import calls_of, cores, lanes_of_a_call, run_lanes, threads
 from .locks import Locked, alone
@@ -11,6 +12,7 @@ from .resolution import LARGEST
 __all__ = [
     "LARGEST",
     "Code",
+    "Eigenpairs",
     "Locked",
     "Problem",
     "Root",
@@ -19,6 +21,7 @@ __all__ = [
     "Steps",
     "StoreError",
     "Trace",
+    "Tridiagonal",
     "Walk",
     "WorkersLost",
     "advance",
@@ -36,8 +39,11 @@ __all__ = [
     "enabled_folder",
     "is_own",
     "lanes_of_a_call",
+    "lapack_alone",
     "log1p",
+    "lowest_eigenpairs",
     "make_folder",
+    "number_below",
     "of_this_package",
     "reciprocal",
     "root_find",
@@ -51,4 +57,5 @@ __all__ = [
     "stepped",
     "threads",
     "trace",
+    "tridiagonal",
 ]

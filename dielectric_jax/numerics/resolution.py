@@ -25,3 +25,7 @@ NEWTON_TRIES = 6
 FIRST_TRIES = 20
 # largest growth and least shrinkage of an accepted step
 LEAST_GROWTH, MOST_GROWTH = 0.5, 2.0
+# halvings of a bracket of an eigenvalue, and steps of inverse iteration from there; benchmarks/speed/eigenpairs.py
+BISECTIONS, INVERSE_ITERATIONS = 40, 2
+# rows of a Sturm sequence between two passes of a compiled loop; benchmarks/speed/eigenpairs.py
+UNROLLED = 8

@@ -79,10 +79,16 @@ def test_two_diagrams_agree_with_a_finer_scan(tmp_path):
     assert all(r["complete"] for r in record["records"])
 
 
-def test_modes_agree_with_a_finer_mesh(tmp_path):
+def test_modes_agree_with_those_of_more_functions(tmp_path):
     record, said = quick("acceptance.modes", tmp_path)
     assert record["wrong_indices"] == 0 and record["largest_ratio"] <= 10, said
     assert record["records"][0]["undecided"] == 0 < record["records"][0]["indices"], said
+
+
+def test_lowest_eigenpairs_are_those_of_lapack(tmp_path):
+    record, said = quick("speed.eigenpairs", tmp_path)
+    assert {r["way"] for r in record["records"]} == {"bisection", "lapack"}, said
+    assert all(r["error"] < 1e-13 for r in record["records"]), said
 
 
 def test_the_first_diagram_is_measured_and_right(tmp_path):
