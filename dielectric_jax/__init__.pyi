@@ -1,8 +1,16 @@
 from . import apps, critical, design, diagram, model, modes, numerics, plot, surface, sweeps
 from .apps import explore, reproduce
-from .critical import area_strain, fold_curves, neutral_modes, snap_point, snap_voltage
+from .critical import area_strain, fold_curves, snap_point, snap_voltage
 from .design import calibrate, classify_designs, maximise, maximise_area_strain, regime_map
-from .diagram import continue_scenes, equilibrium, glance, pressure_volume, regime_of, voltage_volume
+from .diagram import (
+    continue_scenes,
+    equilibrium,
+    glance,
+    neutral_modes,
+    pressure_volume,
+    regime_of,
+    voltage_volume,
+)
 from .model import (
     AbstractMaterial,
     ArrudaBoyce,

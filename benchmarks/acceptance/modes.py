@@ -46,7 +46,7 @@ def judged(membrane: dj.Membrane, states: list) -> tuple[dict, float]:
     """Wrong and undecided indices, and the largest ratio of true error and estimate; and the seconds of a state."""
     timing = harness.timed(lambda: dj.mode_spectrum(membrane, states, NUMBERS), 1)
     u = np.array([[s.apex_stretch, s.pressure, s.voltage_squared] for s in states])
-    fine = level_of(membrane, (u, np.zeros((len(u), 4))), Asked(NUMBERS, 3, 1e-8), len(SIZES) - 1)
+    fine = level_of(membrane, (u, np.zeros((len(u), 4))), Asked(np.tile(NUMBERS, (len(u), 1)), 3, 1e-8), len(SIZES) - 1)
     counts = {"states": len(states), "indices": 0, "wrong": 0, "undecided": 0, "ratio": 0.0}
     for k, spectrum in enumerate(timing.value):
         exact, negative = fine.values[k][:, :3], fine.below[k][:, 1]

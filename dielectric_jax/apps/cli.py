@@ -147,7 +147,7 @@ def _run_voltage_volume(dj: Any, args: argparse.Namespace) -> tuple[dict, Callab
         _say("surface of the membrane …")
         surface = dj.Surface.build(scene.membrane)
     _say("voltage–volume diagram …")
-    diagram = dj.voltage_volume(scene, points=args.points, tolerance=args.tolerance, surface=surface)
+    diagram = dj.voltage_volume(scene, points=args.points, tolerance=args.tolerance, surface=surface, modes=args.modes)
 
     def draw() -> Any:
         from ..plot import chamber_voltages, plot_chamber

@@ -223,6 +223,9 @@ def _add_voltage_volume(commands, common: Parser) -> None:
     scene.add_argument(
         "--engine", choices=["continuation", "surface"], default="continuation", help="how it is computed"
     )
+    scene.add_argument(
+        "--modes", type=_numbers, metavar="A:B", help="numbers n from 1 of modes that end the ramp, such as 1:24"
+    )
 
 
 def _add_paper(commands) -> None:
@@ -343,6 +346,11 @@ def _check(args: argparse.Namespace) -> None:
             )
         if args.command == "voltage-volume" and args.control == "charge" and args.engine == "surface":
             raise BadInput("--engine must be continuation with --control charge, but is surface.")
+        if args.command == "voltage-volume" and args.modes is not None:
+            if args.engine == "surface":
+                raise BadInput("--engine must be continuation with --modes, but is surface.")
+            if args.modes[0] < 1:
+                raise BadInput(f"--modes must be whole numbers from 1, but begins at {args.modes[0]}.")
     if args.command == "modes" and args.density is not None and not args.si:
         raise BadInput("--density must be given with --si only.")
     if args.command == "modes" and args.points is not None and args.chamber_volume is None:

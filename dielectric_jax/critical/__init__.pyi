@@ -18,7 +18,6 @@ from .cusps import (
     pressure_valley,
     zero_voltage_point,
 )
-from .mode_points import neutral_modes
 from .two_parameters import FoldCurve, FoldCurves, TwoParameterPoint, fold_curves
 
 __all__ = [
@@ -34,7 +33,6 @@ __all__ = [
     "cusp",
     "fold_curves",
     "landing_point",
-    "neutral_modes",
     "pressure_cusp",
     "pressure_peak",
     "pressure_valley",

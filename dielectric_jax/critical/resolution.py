@@ -22,7 +22,6 @@ __all__ = [
     "LINE_LOAD",
     "LOG_FROM",
     "MANY",
-    "MODE_SAMPLES",
     "MOST_LINES",
     "NODES",
     "ON_LEVEL",
@@ -110,7 +109,3 @@ LOG_FROM = 4.0
 SAME_POINT = 1e-5
 #: points of a drawn line between two of a curve
 DRAWN = 8
-
-# ---- neutral modes
-#: points of a branch at which the negative modes are counted
-MODE_SAMPLES = 41

@@ -1,7 +1,8 @@
 from .batch import Batch, MembraneKey, condition_of, continue_scenes, stacked, starts
-from .diagrams import Diagram, mesh_of, points_where, pressure_volume, voltage_volume
+from .diagrams import Diagram, pressure_volume, voltage_volume
 from .glances import Glance, glance
 from .mesh import hermite
+from .neutral import neutral_modes
 from .ramp import ENDS
 from .ramps import APEX, ERROR, LISTED, LOAD, PRESSURE, SLOTS, VOLUME, RampArrays, Ramps, Slot, States, ramps_of
 from .regimes import regime_of, regime_of_diagram
@@ -54,8 +55,7 @@ __all__ = [
     "hermite",
     "landings_on",
     "loading_arrays",
-    "mesh_of",
-    "points_where",
+    "neutral_modes",
     "pressure_curves",
     "pressure_ramps",
     "pressure_volume",

@@ -347,6 +347,10 @@ class _OnLines:
         rises = 1 if found.tangent[i, 2] > 0 else -1
         return _Place(int(crossings.line[i]), float(crossings.position[i]), rises, "crossings", i)
 
+    def loss(self, here: _Place) -> str | None:
+        """The lines of a batch are not asked for their modes."""
+        return None
+
     def is_broken(self, landing: _Place) -> bool:
         """Whether a landing lies at breakdown or beyond, which nearest to it the lines do not show."""
         load, limit = self.of.crossings.corrected.u[landing.event, 2], self.limits[0, landing.event]

@@ -290,7 +290,7 @@ def special_record(located: Located, tolerance: float) -> SpecialPoint:
         values |= {"voltage_squared": 0.0, "charge": 0.0, "breakdown_ratio": 0.0}
     values["flags"] = tuple(f for f in state.flags if f != "error_above_tolerance")
     values["flags"] += ("error_above_tolerance",) if not located.error <= tolerance else ()
-    return SpecialPoint(**values, kind=kind, branch=located.branch, position=located.position)
+    return SpecialPoint(**values, kind=kind, branch=located.branch, position=located.position, number=located.number)
 
 
 @dataclasses.dataclass
@@ -303,6 +303,7 @@ class Solved:
     missed: list[tuple]
     tolerance: float
     certify: bool = True
+    numbers: tuple[int, ...] = ()  # the circumferential numbers of modes that are looked at
 
     @property
     def control(self) -> int:

@@ -4,6 +4,7 @@
 """
 
 import dataclasses
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -36,14 +37,16 @@ from ..model import (
     points_table,
     shooting_of,
 )
+from ..modes import checked_numbers
 from ..numerics import Code, SceneError
 from ..plot import plot_diagram
 from ..surface import Surface
 from .branches import Solved, find_curves, special_record
 from .mesh import Curve
+from .mode_points import neutral_points
 from .ramp import build_ramp, build_way_back, flat_ramp
 from .resolution import MESH_POINTS
-from .special_points import fold_events, locate, special_points
+from .special_points import fold_events, special_points
 from .states import (
     check_concrete,
     check_reachable,
@@ -57,7 +60,7 @@ from .states import filling as filling_of
 from .surface_contours import OnSurface
 from .tracing import warm_up
 
-__all__ = ["Diagram", "mesh_of", "points_where", "pressure_volume", "voltage_volume"]
+__all__ = ["Diagram", "pressure_volume", "voltage_volume"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -215,7 +218,7 @@ def _solver(membrane: Membrane, condition: LoadingCondition, surface, method) ->
     return shooting_of(membrane, condition, method) if surface is None else OnSurface(surface, condition)
 
 
-def _solve(solver, limits, kinds, points, tolerance, certify: bool, extend: bool) -> tuple[Solved, bool]:
+def _solve(solver, limits, kinds, points, tolerance, certify: bool, extend: bool, modes) -> tuple[Solved, bool]:
     count = max(points, MESH_POINTS)
     curves, complete = find_curves(solver, limits, count=count, tolerance=tolerance, extend=extend)
     if not curves:
@@ -223,7 +226,20 @@ def _solve(solver, limits, kinds, points, tolerance, certify: bool, extend: bool
     curves = [fold_events(kinds[0], solver, c, tolerance) for c in curves]
     curves = [dataclasses.replace(c, points=solver.complete(c.points)) for c in curves]
     located, missed = special_points(solver, curves, kinds, tolerance, certify=certify)
-    return Solved(solver, curves, located, missed, tolerance, certify), complete
+    solved = Solved(solver, curves, located, missed, tolerance, certify, modes)
+    if modes:
+        more, lost = neutral_points(solved, modes)
+        solved = dataclasses.replace(solved, located=located + more, missed=missed + lost)
+    return solved, complete
+
+
+def _numbers(modes: Iterable[int] | None, surface) -> tuple[int, ...]:
+    """The circumferential numbers of modes that a diagram looks at."""
+    if modes is None:
+        return ()
+    if surface is not None:
+        raise ValueError("`surface` must be left out with `modes`, whose states are those of continuation.")
+    return checked_numbers(modes, 1, "modes")
 
 
 def pressure_volume(
@@ -237,11 +253,12 @@ def pressure_volume(
     certify: bool = True,
     extend: bool = True,
     method: ShootingMethod | None = None,
+    modes: Iterable[int] | None = None,
 ) -> Diagram:
     """The pressure–volume curve of a membrane at a fixed voltage: branches and folds in pressure.
 
     Arguments: `voltage` Φ in units of H√(μ/ε); `points` a branch; `tolerance` of the error estimate; `surface`, `certify`,
-    `extend` and `method` as in `voltage_volume`.
+    `extend`, `method` and `modes` as in `voltage_volume`.
     Raises ValueError for bad input and SceneError where no tensile equilibrium lies in the window.
 
     >>> curve = pressure_volume(Membrane(), voltage=0.0)
@@ -252,10 +269,11 @@ def pressure_volume(
     scene = Scene(membrane, ConstantVoltage(voltage), window or Window())
     check_concrete(scene)
     check_surface(surface, membrane, method)
+    numbers = _numbers(modes, surface)
     kinds = (PointKind.pressure_fold, PointKind.breakdown, PointKind.hoop_tension_loss)
     solver = _solver(membrane, scene.loading.condition(), surface, method)
     warm_up(membrane)
-    solved, complete = _solve(solver, scene.limits(), kinds, points, tolerance, certify, extend)
+    solved, complete = _solve(solver, scene.limits(), kinds, points, tolerance, certify, extend, numbers)
     return _diagram("pressure-volume", scene, solved, complete, points, voltage=float(voltage))
 
 
@@ -268,6 +286,7 @@ def voltage_volume(
     certify: bool = True,
     extend: bool = True,
     method: ShootingMethod | None = None,
+    modes: Iterable[int] | None = None,
 ) -> Diagram:
     """The voltage–volume diagram of a membrane under a loading, with its special points and ramp.
 
@@ -278,6 +297,9 @@ def voltage_volume(
     or with `extend=False` they end there. `certify` corrects special points by shooting; the correction is part of their
     error. Both mean nothing without a surface. A `method` makes the states exact by a solver, step size controller and root
     finder of your own; how far they are from ours is part of the error, so `tolerance` must be as wide as they are exact.
+    With `modes`, circumferential numbers from 1 such as `range(1, 25)`, the points at which a mode of one of them turns
+    neutral are special points too, of kind "mode" with their `number`, and the ramp ends where the membrane loses its
+    axisymmetry: with the reason "bulges" where a mode turns unstable, with "wrinkles" where hoop tension is lost.
     Raises ValueError for bad input and SceneError where no tensile equilibrium lies in the window.
 
     >>> from dielectric_jax import Chamber
@@ -296,6 +318,7 @@ def voltage_volume(
     if isinstance(loading, ConstantVoltage):
         raise ValueError("`loading` must not hold the voltage here, but is a ConstantVoltage; see pressure_volume.")
     check_surface(surface, scene.membrane, method)
+    numbers = _numbers(modes, surface)
     if surface is not None and isinstance(loading, ChargeControl):
         raise ValueError("`surface` must be left out under charge control, which continuation follows.")
     limits = scene.limits()
@@ -307,7 +330,7 @@ def voltage_volume(
     kinds = (fold, PointKind.zero_voltage, PointKind.breakdown, PointKind.hoop_tension_loss)
     solver = _solver(scene.membrane, loading.condition(*filling), surface, method)
     try:
-        solved, complete = _solve(solver, limits, kinds, points, tolerance, certify, extend)
+        solved, complete = _solve(solver, limits, kinds, points, tolerance, certify, extend, numbers)
     except SceneError:
         held = mechanical(loading)
         if isinstance(held, ConstantPressure) and too_flat(scene.membrane, "pressure", float(held.pressure)):
@@ -317,27 +340,6 @@ def voltage_volume(
         raise
     up, down = build_ramp(solved, filling[1] if isinstance(mechanical(loading), Chamber) else None)
     return _diagram("voltage-volume", scene, solved, complete, points, _up=up, _down=down)
-
-
-def mesh_of(diagram: Diagram) -> list[np.ndarray]:
-    """The exact points of every branch, (3, points): λa, p, q. A flat film has none."""
-    return [c.points.u for c in diagram._solver.curves] if isinstance(diagram._solver, Solved) else []
-
-
-def points_where(diagram: Diagram, wanted: list[tuple]) -> list[SpecialPoint | None]:
-    """Points at which test functions vanish, as special points of kind `mode`; None where one was not located.
-
-    Each of `wanted` is (function of `Points`, branch, i): the function changes sign between the mesh points i and i + 1.
-    """
-    solved = diagram._solver
-    assert isinstance(solved, Solved)
-    asked = [(*w, 0.0) for w in wanted]
-    located, missed = locate(solved.solver, solved.curves, asked, solved.tolerance)
-    found: list[SpecialPoint | None] = [None] * len(asked)
-    kept = [k for k, w in enumerate(asked) if w not in missed]
-    for k, point in zip(kept, located, strict=True):
-        found[k] = special_record(dataclasses.replace(point, kind=PointKind.mode), solved.tolerance)
-    return found
 
 
 def _diagram(kind: str, scene: Scene, solved: Solved, complete: bool, points: int, **more) -> Diagram:

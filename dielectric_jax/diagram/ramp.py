@@ -12,10 +12,11 @@ import typing
 import numpy as np
 
 from ..model import SCANNED_LOAD, Event, Outcome, PointKind, Ramp, RampEvent, SpecialPoint, State, largest_load
+from .mode_points import loss_at
 from .resolution import MOST_JUMPS, SAME_STRETCH
 from .states import states_of
 
-__all__ = ["ENDS", "Step", "Stop", "build_ramp", "build_way_back", "flat_ramp", "follow"]
+__all__ = ["ENDS", "LOSSES", "Step", "Stop", "build_ramp", "build_way_back", "flat_ramp", "follow"]
 
 #: why the area strain is taken where it is, and the way of ending that it stands for
 ENDS = {
@@ -24,12 +25,14 @@ ENDS = {
     "no landing": Outcome.no_landing,
     "start_unstable": Outcome.start_unstable,
 }
+#: how a ramp ends where the membrane loses its axisymmetry, where that is asked
+LOSSES = {PointKind.hoop_tension_loss: "wrinkles", PointKind.mode: "bulges"}
 
 
 class Stop(typing.NamedTuple):
     """What a branch comes to as the control rises or falls: the `kind` of the point, the point, and the side of the branch on which it lies.
 
-    The kind is that of a fold of the control, breakdown, or zero voltage; None where the branch leaves the window.
+    The kind is that of a fold of the control, breakdown, zero voltage, or a loss of axisymmetry; None where the branch leaves the window.
     """
 
     kind: PointKind | None
@@ -60,10 +63,16 @@ class Branches(typing.Protocol):
         """Whether a landing lies at breakdown or beyond."""
         ...
 
+    def loss(self, here) -> str | None:
+        """How the state `here` has lost its axisymmetry, where that is asked; None where it has not."""
+        ...
+
 
 def follow(branches: Branches, here, rising: bool, most: int = MOST_JUMPS) -> list[Step]:
     """The events of a ramp from the point `here` as the control rises or falls, up to the one with which it ends."""
     steps: list[Step] = []
+    if loss := branches.loss(here):
+        return [Step(RampEvent.end, here, loss)]
     jump = RampEvent.snap if rising else RampEvent.snap_back
     for _ in range(most):
         stop = branches.next_stop(here, rising)
@@ -73,6 +82,8 @@ def follow(branches: Branches, here, rising: bool, most: int = MOST_JUMPS) -> li
             return [*steps, Step(RampEvent.breakdown, stop.at, "breakdown on the branch")]
         if stop.kind == PointKind.zero_voltage:
             return [*steps, Step(RampEvent.end, stop.at, "zero voltage")]
+        if stop.kind in LOSSES:
+            return [*steps, Step(RampEvent.end, stop.at, LOSSES[stop.kind])]
         steps.append(Step(jump, stop.at))
         here = branches.landing(stop)
         if here is None:
@@ -80,6 +91,8 @@ def follow(branches: Branches, here, rising: bool, most: int = MOST_JUMPS) -> li
         steps.append(Step(RampEvent.landing, here))
         if rising and branches.is_broken(here):
             return [*steps, Step(RampEvent.breakdown, here, "breakdown in the snap")]
+        if loss := branches.loss(here):
+            return [*steps, Step(RampEvent.end, here, loss)]
     return [*steps, Step(RampEvent.end, steps[-2].at, "too many jumps")]
 
 
@@ -111,6 +124,7 @@ class _OfDiagram:
             behind = [p for p in on_branch if p not in ahead and p is not here]
             ahead += sorted(behind, key=lambda p: p.position * side)
         stops = (solved.fold_kind, PointKind.breakdown if rising else PointKind.zero_voltage)
+        stops += tuple(LOSSES) if solved.numbers else ()
         for p in ahead:
             if p.kind in stops and p is not here:
                 return Stop(p.kind, p, side)
@@ -133,6 +147,9 @@ class _OfDiagram:
 
     def is_broken(self, landing) -> bool:
         return self.solved.state(landing).breakdown_ratio >= 1
+
+    def loss(self, here) -> str | None:
+        return loss_at(self.solved, here, self.solved.numbers) if self.solved.numbers else None
 
     def state(self, step: Step) -> State:
         """The record of the state of a step; where the branch leaves the window, its last."""
@@ -168,7 +185,7 @@ def build_ramp(solved, initial_volume: float | None) -> tuple[Ramp, Ramp | None]
     steps = follow(branches, start, rising=True)
     events = branches.events("up", start, steps)
     end, jumps = events[-1], [e for e in events if e.event == RampEvent.snap]
-    held = end.reason in ("window", "breakdown on the branch", "zero voltage")
+    held = end.reason in ("window", "breakdown on the branch", "zero voltage", *LOSSES.values())
     last_held = end if held else jumps[-1]
     up = Ramp(tuple(events), _strain(last_held.state, first), end.reason)
     landings = [i for i, step in enumerate(steps) if step.event == RampEvent.landing]

@@ -1,29 +1,34 @@
 """The regime of one scene, by its whole diagram."""
 
 import typing
+from collections.abc import Iterable
 
 import numpy as np
 
 from ..model import SCANNED_LOAD, FoldAhead, Outcome, PointKind, RampEvent, Regime, Scene, SpecialPoint, regimes_of
 from ..surface import Surface
 from .diagrams import Diagram, voltage_volume
-from .ramp import ENDS
+from .ramp import ENDS, LOSSES
 
 __all__ = ["regime_of", "regime_of_diagram"]
 
 
-def regime_of(scene: Scene, *, surface: Surface | None = None) -> Regime:
+def regime_of(scene: Scene, *, surface: Surface | None = None, modes: Iterable[int] | None = None) -> Regime:
     """The regime of one design, by its whole diagram.
+
+    With `modes`, as in `voltage_volume`, it is `wrinkles` or `bulges` where the ramp up loses its axisymmetry.
 
     >>> from dielectric_jax import Chamber, Membrane
     >>> regime_of(Scene(Membrane(), Chamber(volume=1600.0, initial_volume=2.42))).name
     'stays'
     """
-    return regime_of_diagram(voltage_volume(scene, surface=surface))
+    return regime_of_diagram(voltage_volume(scene, surface=surface, modes=modes))
 
 
 def regime_of_diagram(diagram: Diagram) -> Regime:
     """The regime that a voltage–volume diagram shows; `undetermined` where the window ends its ramp."""
+    if (loss := diagram.area_strain_reason) in LOSSES.values():
+        return Regime[str(loss)]
     up, down = diagram.ramp(), [e for e in diagram.events if e.direction == "down"]
     outcome = ENDS.get(up.area_strain_reason or "", Outcome.unresolved)
     if outcome == Outcome.unresolved:

@@ -137,3 +137,10 @@ MERGING_FOLDS = 2e-3  # a slope of q between rows below this share of the larges
 MOST_PRESSURE_POINTS = 8  # folds, and places of breakdown, of a pressure–volume curve
 GLANCE_NEWTON = 4  # steps of Newton from the spline's guess
 GLANCE_REACH = 0.05  # of λa: how far Newton's method may go from the spline's guess
+
+# ---- neutral modes
+# points of a branch at which the lowest eigenvalues of modes are taken
+MODE_SAMPLES = 41
+# how near to zero, of its change over two samples, an eigenvalue that turns back is looked at on the whole mesh; a parabola that
+# three samples bound goes on by at most an eighth
+NEAR_NEUTRAL = 0.5

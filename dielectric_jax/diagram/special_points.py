@@ -8,7 +8,7 @@ roots advance together.
 
 import concurrent.futures
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.optimize import root_scalar
@@ -21,6 +21,7 @@ from .surface_contours import OnSurface
 __all__ = [
     "FOLDS",
     "Located",
+    "TestFunction",
     "brackets",
     "control_line",
     "event_values",
@@ -38,10 +39,17 @@ FOLDS = {
 }  # and the column of the control that turns there
 
 
-def event_values(kind: PointKind | Callable, points: Points, target: float = 0.0) -> np.ndarray:
-    """The function of an event on points (lanes,): it vanishes at the event. A kind may be a test function itself."""
-    if callable(kind):
-        return kind(points)
+class TestFunction:
+    """A function of a state that vanishes at a special point, beside those of the kinds of `PointKind`."""
+
+    @staticmethod
+    def of_each(tests: Sequence, points: Points) -> np.ndarray:
+        """The values (lanes,) of test functions of one class at points, one of each."""
+        raise NotImplementedError
+
+
+def event_values(kind: PointKind, points: Points, target: float = 0.0) -> np.ndarray:
+    """The function of an event on points (lanes,): it vanishes at the event."""
     if kind in FOLDS:
         return points.control_slope(FOLDS[kind])
     if kind == PointKind.zero_voltage:
@@ -80,6 +88,7 @@ class Located:
     position: float
     point: Points
     error: float
+    number: int | None = None  # the circumferential number of a neutral mode
 
 
 def fold_events(kind: PointKind, solver, curve: Curve, tolerance: float) -> Curve:
@@ -302,7 +311,7 @@ class _Brackets:
             self.values(self.ends.take(first), lanes),
             self.values(self.ends.take(first + 1), lanes),
         )
-        self.share, self.slope = np.array([_predict(curves[b], kind, i, target) for kind, b, i, target in wanted]).T
+        self.share, self.slope = np.array([self._predicted(n) for n in range(count)]).T
         for n, (kind, branch, i, _) in enumerate(wanted):
             if kind in FOLDS and (better := _fold_share(curves[branch], kind, i)) is not None:
                 self.share[n], self.slope[n] = better
@@ -316,10 +325,25 @@ class _Brackets:
         )
         self.trials: list[list[Points]] = [[] for _ in wanted]
 
+    def _predicted(self, n: int) -> tuple[float, float]:
+        """The share of the interval at which a root is expected, and the slope there; a test function is not asked once more."""
+        kind, branch, interval, target = self.wanted[n]
+        if isinstance(kind, TestFunction):
+            rise = self.f_high[n] - self.f_low[n]
+            return -self.f_low[n] / rise, rise
+        return _predict(self.curves[branch], kind, interval, target)
+
     def values(self, points: Points, which) -> np.ndarray:
         """The test functions of the roots `which` at points, one of each."""
-        targets = [(self.wanted[n][0], self.wanted[n][3]) for n in which]
-        return np.array([event_values(kind, points.take(np.array([k])), t)[0] for k, (kind, t) in enumerate(targets)])
+        kinds = [self.wanted[n][0] for n in which]
+        found = np.empty(len(kinds))
+        tests = np.array([isinstance(kind, TestFunction) for kind in kinds], bool)
+        if tests.any():
+            own = np.flatnonzero(tests)
+            found[own] = kinds[own[0]].of_each([kinds[k] for k in own], points.take(own))
+        for k in np.flatnonzero(~tests):
+            found[k] = event_values(kinds[k], points.take(np.array([k])), self.wanted[which[k]][3])[0]
+        return found
 
     def step(self, solver, active: np.ndarray, tolerance: float) -> np.ndarray:
         """One trial of each of the `active` roots; returns which of them go on."""

@@ -44,6 +44,8 @@ class Regime(enum.IntEnum):
     not_decided = 6
     stays = 7
     returns = 8
+    wrinkles = 9  # these two only where modes are asked for
+    bulges = 10
 
     @property
     def words(self) -> str:
@@ -62,6 +64,8 @@ REGIME_COLOURS = {
     Regime.not_decided: "#FFFFFF",
     Regime.stays: "#9CC7E0",
     Regime.returns: "#BFE3C5",
+    Regime.wrinkles: "#D9C7E8",
+    Regime.bulges: "#B39CD0",
 }
 #: regimes in which the ramp snaps
 SNAPPING = (Regime.no_landing, Regime.breaks_in_snap, Regime.stays, Regime.returns)

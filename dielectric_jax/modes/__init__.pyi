@@ -1,3 +1,3 @@
-from .spectrum import ModeShape, ModeSpectrum, checked_numbers, lowest_eigenvalues, mode_spectrum, unstable_numbers
+from .spectrum import ModeShape, ModeSpectrum, checked_numbers, lowest_eigenvalues, lowest_of_numbers, mode_spectrum
 
-__all__ = ["ModeShape", "ModeSpectrum", "checked_numbers", "lowest_eigenvalues", "mode_spectrum", "unstable_numbers"]
+__all__ = ["ModeShape", "ModeSpectrum", "checked_numbers", "lowest_eigenvalues", "lowest_of_numbers", "mode_spectrum"]

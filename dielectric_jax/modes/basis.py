@@ -19,9 +19,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from scipy.special import eval_jacobi
 
-from .resolution import MORE_POINTS
-
-__all__ = ["PAIRS", "Coordinate", "Tables", "apex_sample", "coordinate", "functions", "gauss", "tables"]
+__all__ = ["Coordinate", "Tables", "apex_sample", "coordinate", "functions", "gauss", "tables"]
 
 
 def gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -63,25 +61,19 @@ class Tables(typing.NamedTuple):
     """The basis of one parity at Gauss points of x = ξ².
 
     `order` says which of A, B, W comes first: it has one function more, the last, which alone does not vanish at the apex.
-    `basis` (3, 2, size + 1, points) are the functions of each and their slopes by ξ, 0 where there is none. `products`
-    (6, (size + 1)², 4 points) are the products of those of two components, first the slopes of the first one. `free`
+    `basis` (3, 2, size + 1, points) are the functions of each and their slopes by ξ, 0 where there is none. `free`
     (size + 1, size + 1) takes coefficients of the first component's functions to those of even polynomials of rising degree.
     """
 
     order: np.ndarray
     basis: np.ndarray
-    products: np.ndarray
     free: np.ndarray
 
 
-#: the pairs of components of a symmetric form
-PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-
-
 @functools.cache
-def tables(size: int, odd: bool) -> Tables:
-    """The basis of a parity of n, `size` functions for each of A, B, W and one more for the first."""
-    x, _ = gauss(size + MORE_POINTS)
+def tables(size: int, points: int, odd: bool) -> Tables:
+    """The basis of a parity of n, `size` functions for each of A, B, W and one more for the first, at Gauss points."""
+    x, _ = gauss(points)
     xi = np.sqrt(x)
 
     def padded(power):
@@ -95,8 +87,7 @@ def tables(size: int, odd: bool) -> Tables:
     first = np.einsum("fg,cfx->cgx", free, np.stack(functions(0, size + 1, xi)))
     order = np.array([1, 0, 2] if odd else [2, 0, 1])
     basis = np.stack([first, padded(2), padded(1)] if odd else [first, padded(1), padded(1)])
-    products = [np.einsum("egx,chx->ghecx", basis[i], basis[j]).reshape((size + 1) ** 2, -1) for i, j in PAIRS]
-    return Tables(order, basis, np.stack(products), free)
+    return Tables(order, basis, free)
 
 
 class Coordinate(typing.NamedTuple):

@@ -24,8 +24,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..model import apex_series, capacitance, eighth_order_step, integrate_membrane, slopes, stresses
-from .basis import PAIRS, Tables, coordinate, gauss
-from .resolution import APEX_RADII, MEAN_NODES, MORE_POINTS, NEAR_APEX, NEAR_EQUAL
+from .basis import Tables, coordinate, gauss
+from .resolution import APEX_RADII, MEAN_NODES, NEAR_APEX, NEAR_EQUAL
 
 __all__ = ["Assembled", "Sampled", "assembled", "sampled"]
 
@@ -152,9 +152,9 @@ def _integrand(material, base: _Base, p, q) -> jax.Array:
     return jnp.stack([product(zeroth, zeroth) - p * still, mixed - p * turning, product(first, first)])
 
 
-def sampled(size: int):
-    """`sample(material, u, steps)` of states u (3, lanes): `Sampled`, for a basis of `size` functions a component."""
-    x, weights = gauss(size + MORE_POINTS)
+def sampled(points: int):
+    """`sample(material, u, steps)` of states u (3, lanes): `Sampled` at Gauss points."""
+    x, weights = gauss(points)
     xi = np.sqrt(x)[:, None]
 
     def sample(material, u, steps) -> Sampled:
@@ -191,15 +191,14 @@ def sampled(size: int):
 
 def assembled(parts: Sampled, tables: Tables) -> Assembled:
     """The second variation on a basis, with the lanes of `parts` in front."""
-    lanes, many = len(parts.form), tables.basis.shape[2]
+    many = tables.basis.shape[2]
     form = parts.form[:, :, :, tables.order][:, :, :, :, :, tables.order]
-    pairs = jnp.stack([form[:, :, :, i, :, j].reshape(lanes, 3, -1) for i, j in PAIRS])
-    blocks = jnp.einsum("psnk,pgk->psng", pairs, tables.products).reshape(6, lanes, 3, many, many)
-    place = {pair: k for k, pair in enumerate(PAIRS)}
-    rows = [
-        [blocks[place[i, j]] if i <= j else jnp.swapaxes(blocks[place[j, i]], -1, -2) for j in range(3)]
-        for i in range(3)
-    ]
+    rows: list = [[None] * 3 for _ in range(3)]
+    for i in range(3):
+        for j in range(i, 3):
+            right = jnp.einsum("snecx,chx->snexh", form[:, :, :, i, :, j], tables.basis[j])
+            rows[i][j] = jnp.einsum("egx,snexh->sngh", tables.basis[i], right)
+            rows[j][i] = jnp.swapaxes(rows[i][j], -1, -2)
     # the second and third component have one function less
     kept = [many, many - 1, many - 1]
     stiffness = jnp.concatenate(

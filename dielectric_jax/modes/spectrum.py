@@ -28,6 +28,7 @@ from .resolution import (
     COUNTS,
     DROPPED,
     EQUILIBRIUM,
+    GAUSS_POINTS,
     HOOP_POINTS,
     LARGEST_NUMBER,
     NEAR_APEX,
@@ -36,14 +37,14 @@ from .resolution import (
     PROFILE_STEPS,
     ROUNDING,
     SHAPE_POINTS,
-    SIGN_TOLERANCE,
+    SIGN_SHARE,
     SIZES,
     STATE_ERROR,
     STATES_TOGETHER,
 )
 from .second_variation import Assembled, Sampled, assembled, sampled
 
-__all__ = ["ModeShape", "ModeSpectrum", "checked_numbers", "lowest_eigenvalues", "mode_spectrum", "unstable_numbers"]
+__all__ = ["ModeShape", "ModeSpectrum", "checked_numbers", "lowest_eigenvalues", "lowest_of_numbers", "mode_spectrum"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -178,17 +179,17 @@ def mode_spectrum(
     for s in states:
         if not isinstance(s, State):
             raise ValueError(f"`state` must be a State or a sequence of them, but holds a {type(s).__name__}.")
-    found = _spectra(scene, membrane, states, Asked(given, count, tolerance))
+    found = _spectra(scene, membrane, states, Asked(np.tile(given, (len(states), 1)), count, tolerance))
     return found[0] if isinstance(state, State) else found
 
 
-def checked_numbers(numbers: Iterable[int], least: int) -> tuple[int, ...]:
+def checked_numbers(numbers: Iterable[int], least: int, name: str = "numbers") -> tuple[int, ...]:
     """Circumferential numbers, whole and from `least`; raises ValueError for others."""
     given = tuple(numbers)
     wrong = [n for n in given if not (isinstance(n, (int, np.integer)) and least <= n <= LARGEST_NUMBER)]
     if wrong or not given:
         raise ValueError(
-            f"`numbers` must be whole numbers from {least} to {LARGEST_NUMBER}, at least one, but are {wrong or given!r}."
+            f"`{name}` must be whole numbers from {least} to {LARGEST_NUMBER}, at least one, but are {wrong or given!r}."
         )
     return tuple(map(int, given))
 
@@ -197,7 +198,7 @@ def _displacement(vector: np.ndarray, number: int, sharpness: float, radius: np.
     """U, V, W at radii, of a mode on the functions of its basis."""
     size = (len(vector) - 1) // 3
     odd = bool(number % 2)
-    basis = tables(size, odd)
+    basis = tables(size, GAUSS_POINTS[0], odd)
     xi = np.maximum(apex_sample(sharpness, radius), NEAR_APEX)
     first = (basis.free @ vector[: size + 1]) @ functions(0, size + 1, xi)[0]
     second = vector[size + 1 : 2 * size + 1] @ functions(2 if odd else 1, size, xi)[0]
@@ -223,18 +224,22 @@ class _Level(typing.NamedTuple):
 
 
 class Asked(typing.NamedTuple):
-    """What is asked of every state."""
+    """What is asked of states: the numbers of each, (states, numbers), how many eigenvalues, and how exact; or only the lowest's sign."""
 
-    numbers: tuple[int, ...]
+    numbers: np.ndarray
     count: int
-    tolerance: float
+    tolerance: float | None
+
+    def of(self, states: list[int]) -> "Asked":
+        """What is asked of some of the states."""
+        return self._replace(numbers=self.numbers[states])
 
 
 def _spectra(scene, membrane: Membrane, states: list[State], asked: Asked) -> list:
     u = np.array([[s.apex_stretch, s.pressure, s.voltage_squared] for s in states]).reshape(-1, 3)
     holds = np.array([[*_held(scene, s), s.error_estimate] for s in states]).reshape(-1, 4)
     found = _converged(membrane, u, holds, asked)
-    return [_judged(membrane, state, asked, level) for state, level in zip(states, found, strict=True)]
+    return [_judged(membrane, *own) for own in zip(states, asked.numbers, found, strict=True)]
 
 
 def _converged(membrane: Membrane, u: np.ndarray, holds: np.ndarray, asked: Asked) -> list[_Level]:
@@ -244,19 +249,33 @@ def _converged(membrane: Membrane, u: np.ndarray, holds: np.ndarray, asked: Aske
     for level in range(len(SIZES)):
         if not todo:
             break
-        here = level_of(membrane, (u[todo], holds[todo]), asked, level)
+        here = level_of(membrane, (u[todo], holds[todo]), asked.of(todo), level)
         again = []
         for k, i in enumerate(todo):
-            before, found[i] = found[i], jax.tree.map(lambda v, k=k: v[k], here)
+            before = found[i]
+            found[i] = _compared(before, jax.tree.map(lambda v, k=k: v[k], here))
             if not _is_right(before, found[i], asked):
                 again.append(i)
         todo = again
     return found
 
 
+def _compared(before: _Level | None, level: _Level) -> _Level:
+    """A level whose error is at least its difference from the one before, where hoop tension is lost.
+
+    There a layer under compression may be thinner than what a basis resolves, which its own last functions do not show.
+    """
+    if level.hoop.min() >= 0:
+        return level
+    apart = np.inf if before is None else np.abs(level.values - before.values)
+    return level._replace(error=np.maximum(level.error, apart))
+
+
 def _is_right(before: _Level | None, level: _Level, asked: Asked) -> bool:
     """Whether eigenvalues are right to the tolerance, and all negative ones are among them or as many on the basis before."""
     values, error = (v[:, : asked.count] for v in (level.values, level.error))
+    if asked.tolerance is None:
+        return bool((error <= SIGN_SHARE * np.abs(values)).all())
     with np.errstate(invalid="ignore"):
         near = error <= asked.tolerance * np.maximum(np.abs(values), 1.0)
     negative = level.below[:, 1]
@@ -264,32 +283,44 @@ def _is_right(before: _Level | None, level: _Level, asked: Asked) -> bool:
     return bool(near.all() and counted.all())
 
 
-def lowest_eigenvalues(membrane: Membrane, u: np.ndarray, number: int, count: int) -> np.ndarray:
-    """The `count` lowest eigenvalues (states, count) of a number n ≥ 1 at equilibria u (3, states): λa, p, q."""
-    asked = Asked((number,), count, NEUTRAL_TOLERANCE)
-    found = _converged(membrane, np.asarray(u, float).T, np.zeros((u.shape[1], 4)), asked)
-    return np.array([level.values[0, :count] for level in found]).reshape(-1, count)
+def lowest_eigenvalues(membrane: Membrane, u: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+    """The lowest eigenvalue (states,) of a number n ≥ 1 of each of the equilibria u (3, states): λa, p, q."""
+    found = np.empty(u.shape[1])
+    for odd in (0, 1):
+        own = np.flatnonzero(np.asarray(numbers) % 2 == odd)
+        if len(own):
+            asked = Asked(np.asarray(numbers)[own, None], 1, NEUTRAL_TOLERANCE)
+            levels = _converged(membrane, u.T[own], np.zeros((len(own), 4)), asked)
+            found[own] = [level.values[0, 0] for level in levels]
+    return found
 
 
-def unstable_numbers(membrane: Membrane, u: np.ndarray, numbers: Sequence[int]) -> np.ndarray:
-    """Whether a mode of each number n ≥ 1 lowers the energy, (states, numbers), at equilibria u (3, states): λa, p, q."""
-    asked = Asked(tuple(numbers), 1, SIGN_TOLERANCE)
-    found = _converged(membrane, np.asarray(u, float).T, np.zeros((u.shape[1], 4)), asked)
-    return np.array([level.values[:, 0] < 0 for level in found]).reshape(-1, len(asked.numbers))
+def lowest_of_numbers(membrane: Membrane, u: np.ndarray, numbers: Sequence[int]) -> np.ndarray:
+    """The lowest eigenvalue of each number n ≥ 1, (states, numbers), at equilibria u (3, states), for its sign; NaN where it is not decided.
+
+    Near the cone to which an apex sharpens no basis resolves the modes.
+    """
+    asked = Asked(np.tile(np.asarray(numbers), (u.shape[1], 1)), 1, None)
+    levels = _converged(membrane, np.asarray(u, float).T, np.zeros((u.shape[1], 4)), asked)
+    values, error = (
+        np.array([v[:, 0] for v in rows])
+        for rows in zip(*((level.values, level.error) for level in levels), strict=True)
+    )
+    return np.where(error <= SIGN_SHARE * np.abs(values), values, np.nan)
 
 
-def _judged(membrane: Membrane, state: State, asked: Asked, level: _Level) -> ModeSpectrum:
-    """The spectrum of a state from one basis."""
-    count = asked.count
+def _judged(membrane: Membrane, state: State, numbers: np.ndarray, level: _Level) -> ModeSpectrum:
+    """The spectrum of a state from one basis, which gives one eigenvalue more than asked for."""
+    count = level.values.shape[1] - 1
     values, error = level.values[:, :count], level.error[:, :count]
     defect = abs(float(level.stretch_change) - (float(membrane.prestretch) - state.apex_stretch))
     if not defect <= EQUILIBRIUM * state.apex_stretch and np.isfinite(values).all():
         raise ValueError(f"`state` must be an equilibrium of the membrane, but is {state!r}.")
     estimate = np.max(error / np.maximum(np.abs(values), 1e-3), axis=1)
-    near = (level.below[:, 0] != level.below[:, 2]) | ~np.isfinite(values).all(axis=1)
+    near = (level.below[:, 0] != level.below[:, 2]) | ~(level.error < np.abs(level.values)).all(axis=1)
     index = np.ma.MaskedArray(level.below[:, 1].astype(int), mask=near)
     kept = {"_vectors": level.vectors[:, :count], "_sharpness": float(level.sharpness)}
-    return ModeSpectrum(asked.numbers, values, index, estimate, _least(level.hoop), state, **kept)
+    return ModeSpectrum(tuple(map(int, numbers)), values, index, estimate, _least(level.hoop), state, **kept)
 
 
 def _least(hoop: np.ndarray) -> float:
@@ -311,38 +342,40 @@ def _held(scene: Scene | Membrane, state: State) -> list[float]:
 
 
 def level_of(membrane: Membrane, lanes: tuple, asked: Asked, level: int) -> _Level:
-    """One basis for states (λa, p, q) and what their loadings hold."""
-    size, together, steps = SIZES[level], STATES_TOGETHER[level], np.asarray(PROFILE_STEPS[level])
+    """One basis for states (λa, p, q) and what their loadings hold; numbers of one column have one parity."""
+    size, points, together = SIZES[level], GAUSS_POINTS[level], STATES_TOGETHER[level]
+    steps = np.asarray(PROFILE_STEPS[level])
     u, holds = lanes
-    sample, modes = _sampling(size), _modes(size, next(n for n in COUNTS if n >= asked.count))
+    sample, modes = _sampling(points), _modes(size, next(n for n in COUNTS if n >= asked.count))
     states = run_lanes(
         lambda u: sample(membrane.material, u.T, steps), u, sizes=together, axis=0, out_axis=0, parallel=False
     )
     blocks, places = [], []
+    width = next(w for w in NUMBERS_TOGETHER if w >= min(asked.numbers.shape[1], NUMBERS_TOGETHER[-1]))
     for odd in (False, True):
-        own = [k for k, n in enumerate(asked.numbers) if n % 2 == odd]
-        basis = tables(size, odd)
-        for first in range(0, len(own), NUMBERS_TOGETHER):
-            part = own[first : first + NUMBERS_TOGETHER]
-            numbers = np.array([asked.numbers[k] for k in part], float)
-            padded = np.pad(numbers, (0, NUMBERS_TOGETHER - len(part)), mode="edge")
+        own = np.flatnonzero(asked.numbers[0] % 2 == odd)
+        basis = tables(size, points, odd)
+        for first in range(0, len(own), width):
+            part = own[first : first + width]
+            numbers = np.pad(asked.numbers[:, part].astype(float), ((0, 0), (0, width - len(part))), mode="edge")
 
-            def run(own, n=padded, basis=basis):
+            def run(own, basis=basis):
                 with lapack_alone():
-                    return jax.block_until_ready(modes(*own, n, basis))
+                    return jax.block_until_ready(modes(*own, basis))
 
-            found = run_lanes(run, (states, holds), sizes=together, axis=0, out_axis=0, parallel=False)
-            places += part
+            found = run_lanes(run, (states, holds, numbers), sizes=together, axis=0, out_axis=0, parallel=False)
+            places += list(part)
             blocks.append([v[:, : len(part)] for v in found])
     back = np.argsort(places)
     values, error, below, vectors = (np.concatenate(v, axis=1)[:, back] for v in zip(*blocks, strict=True))
+    values, error = (v[:, :, : asked.count + 1] for v in (values, error))
     return _Level(values, error, below, vectors, states.hoop, states.sharpness, states.stretch_change)
 
 
 @functools.cache
-def _sampling(size: int):
-    """States at the points of a basis, as a compiled program."""
-    return cached_jit(sampled(size))
+def _sampling(points: int):
+    """States at Gauss points, as a compiled program."""
+    return cached_jit(sampled(points))
 
 
 @functools.cache
@@ -351,15 +384,13 @@ def _modes(size: int, count: int):
 
     def modes(states: Sampled, holds, numbers, basis: Tables):
         parts = assembled(states, basis)
-        lanes, many = len(holds), len(numbers)
+        lanes, many = numbers.shape
         holds = jnp.concatenate([holds, states.capacitance[:, None]], axis=1)
-        matrices = jax.vmap(_matrices, in_axes=(0, 0, None))(parts, holds, numbers)
+        matrices = jax.vmap(_matrices)(parts, holds, numbers)
         matrices = matrices.reshape(lanes * many, *matrices.shape[2:])
         t = tridiagonal(matrices)
         values, vectors = lowest_eigenpairs(matrices, t, count + 1)
-        few, more = (
-            _truncated(d * DROPPED, matrices, values, vectors, jnp.tile(numbers, lanes), basis) for d in (1, 2)
-        )
+        few, more = (_truncated(d * DROPPED, matrices, values, vectors, numbers.ravel(), basis) for d in (1, 2))
         # the error falls with the functions like a geometric sequence; half of the next ratio is kept as a margin
         error = few * jnp.sqrt(jnp.minimum(few / jnp.maximum(more, 1e-300), 1.0))
         rounding = ROUNDING + STATE_ERROR * jnp.repeat(holds[:, 3], many)[:, None]

@@ -17,7 +17,7 @@ FLOORS = {
     "surface": 3,
     "plot": 3,
     "diagram": 4,
-    "modes": 4,
+    "modes": 3,
     "sweeps": 5,
     "critical": 5,
     "design": 5,

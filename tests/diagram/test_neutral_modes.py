@@ -1,0 +1,85 @@
+"""Neutral modes along branches against reference points."""
+
+import json
+import pathlib
+
+import numpy as np
+import pytest
+
+import dielectric_jax as dj
+
+REFERENCE = json.loads((pathlib.Path(__file__).parents[1] / "data" / "modes.json").read_text(encoding="utf-8"))
+LOADINGS = {
+    "chamber 25000": dj.Chamber(volume=25000.0, initial_volume=2.42),
+    "chamber 1600": dj.Chamber(volume=1600.0, initial_volume=2.42),
+    "chamber 20 L": dj.Chamber(volume=1755.8299039780522, initial_volume=2.42),
+    "pressure 1.82": dj.ConstantPressure(1.82),
+    "pressure 2": dj.ConstantPressure(2.0),
+}
+
+
+@pytest.mark.parametrize("name", LOADINGS)
+def test_reference_points(name, membrane):
+    known = {c["n"]: c for c in REFERENCE["critical"] if c["scene"] == name and c["kind"] == "mode neutral"}
+    found = dj.neutral_modes(dj.Scene(membrane, LOADINGS[name]), sorted(known))
+    assert sorted(p.number for p in found) == sorted(known)
+    for point in found:
+        assert point.kind == "mode" and point.to_json()["number"] == point.number
+        for quantity in ("voltage", "pressure", "volume", "apex_stretch"):
+            # some points of the reference are known to seven digits
+            exact = 3 * 10.0 ** -min(known[point.number]["digits"], 8.5)
+            assert getattr(point, quantity) == pytest.approx(known[point.number][quantity], rel=exact)
+
+
+@pytest.mark.parametrize("prestretch", [1.0, 1.5, 2.0, 3.0])
+def test_reference_points_at_an_apex_stretch(prestretch):
+    """Modes are neutral at the states of the reference, whatever holds these."""
+    film = dj.Membrane(dj.Gent(270.0), prestretch)
+    known = [
+        c
+        for c in REFERENCE["critical"]
+        if c["kind"] == "mode neutral" and "apex stretch" in c["scene"] and c["prestretch"] == prestretch
+    ]
+    states = [
+        dj.equilibrium(film, apex_stretch=c["apex_stretch"], voltage=float(np.sqrt(c["voltage_squared"])))
+        for c in known
+    ]
+    for entry, state in zip(known, states, strict=True):
+        assert state.pressure == pytest.approx(entry["pressure"], rel=1e-8)
+        spectrum = dj.mode_spectrum(film, state, [entry["n"]], count=1)
+        # the eigenvalue changes by some 1e4 of the relative change of the load
+        assert abs(spectrum.eigenvalues[0, 0]) < 1e-5, entry["scene"]
+
+
+def test_a_ramp_ends_where_the_membrane_loses_its_axisymmetry():
+    """Of a large chamber mode 10 comes first, of 20 L hoop tension is lost first, if the film does not break down before."""
+    membrane = dj.Membrane(dj.Gent(270.0), breakdown=dj.VHBBreakdown(3.0))
+    for chamber, reason, numbers in ((25000.0, "bulges", {10}), (1755.8299039780522, "wrinkles", {None})):
+        scene = dj.Scene(membrane, dj.Chamber(volume=chamber, initial_volume=2.42))
+        plain, asked = dj.voltage_volume(scene), dj.voltage_volume(scene, modes=range(1, 25))
+        ramp = asked.ramp()
+        assert ramp.area_strain_reason == reason and ramp.events[-1].reason == reason
+        assert dj.regime_of(scene, modes=range(1, 25)).name == reason
+        others = [p for p in asked.special_points if p.kind != "mode"]
+        assert [p.to_json() for p in others] == [p.to_json() for p in plain.special_points]
+        ends = [p for p in asked.special_points if p.apex_stretch == ramp.events[-1].state.apex_stretch]
+        assert {p.number for p in ends} == numbers
+    modes = [p for p in asked.special_points if p.kind == "mode"]
+    assert modes and min(p.voltage for p in modes) > ramp.events[-1].state.voltage
+
+
+def test_breakdown_comes_before_any_mode_in_the_article_s_chamber(membrane):
+    scene = dj.Scene(membrane, dj.Chamber(volume=1600.0, initial_volume=2.42))
+    plain, asked = dj.voltage_volume(scene), dj.voltage_volume(scene, modes=range(1, 13))
+    assert [e.event for e in asked.events] == [e.event for e in plain.events]
+    assert asked.area_strain == plain.area_strain
+    assert dj.regime_of(scene, modes=range(1, 13)) == dj.regime_of(scene)
+
+
+def test_bad_input_is_refused(membrane):
+    with pytest.raises(ValueError, match="`numbers` must be whole numbers from 1"):
+        dj.neutral_modes(dj.Scene(membrane, dj.ConstantPressure(1.0)), [0])
+    with pytest.raises(ValueError, match="`scene` must be a Scene"):
+        dj.neutral_modes(membrane)
+    with pytest.raises(ValueError, match="`modes` must be whole numbers from 1"):
+        dj.voltage_volume(dj.Scene(membrane, dj.ConstantPressure(1.0)), modes=[1.5])
