@@ -75,7 +75,7 @@ def _changes(membrane: Membrane, curve: Curve, numbers: Sequence[int]) -> list[t
     turns = [(k, i) for k in range(len(numbers)) for i in _turns(values[:, k])]
     if not turns:
         return []
-    inside = np.unique(np.concatenate([np.arange(chosen[i], chosen[i + 1] + 1) for _, i in turns]))
+    inside = np.unique(np.concatenate([np.arange(int(chosen[i]), int(chosen[i + 1]) + 1) for _, i in turns]))
     exact = np.full((u.shape[1], len(numbers)), np.nan)
     exact[inside] = lowest_of_numbers(membrane, u[:, inside], numbers)
     found = []

@@ -1,3 +1,13 @@
+from .jacobi import ConjugatePoints, conjugate_points
 from .spectrum import ModeShape, ModeSpectrum, checked_numbers, lowest_eigenvalues, lowest_of_numbers, mode_spectrum
 
-__all__ = ["ModeShape", "ModeSpectrum", "checked_numbers", "lowest_eigenvalues", "lowest_of_numbers", "mode_spectrum"]
+__all__ = [
+    "ConjugatePoints",
+    "ModeShape",
+    "ModeSpectrum",
+    "checked_numbers",
+    "conjugate_points",
+    "lowest_eigenvalues",
+    "lowest_of_numbers",
+    "mode_spectrum",
+]

@@ -32,3 +32,5 @@ LARGEST_NUMBER = 400
 SHAPE_POINTS, HOOP_POINTS = 201, 257
 # the error of an eigenvalue whose sign is decided, of its value; and the error, of max(|Λ|, 1), where a root is sought
 SIGN_SHARE, NEUTRAL_TOLERANCE = 0.1, 1e-8
+# where the certificate starts, as its error there falls like R², and its steps in ln R: 1e-12 in the neutral loads of the reference
+JACOBI_START, JACOBI_STEPS = 1e-6, 800

@@ -27,7 +27,7 @@ from ..model import apex_series, capacitance, eighth_order_step, integrate_membr
 from .basis import Tables, coordinate, gauss
 from .resolution import APEX_RADII, MEAN_NODES, NEAR_APEX, NEAR_EQUAL
 
-__all__ = ["Assembled", "Sampled", "assembled", "sampled"]
+__all__ = ["Assembled", "Sampled", "assembled", "moduli", "sampled"]
 
 # U, V, W and their derivatives by A, B, W and theirs
 _HALVES = np.kron(np.eye(2), np.array([[1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 0.0, np.sqrt(2.0)]]) / np.sqrt(2.0))
@@ -97,7 +97,7 @@ def _base(material, u, steps, radius) -> tuple[_Base, jax.Array]:
     return _Base(radius, apex + y[0], apex + y[1], jnp.sin(y[2]), jnp.cos(y[2])), shot.stretch_change
 
 
-def _moduli(material, l1, l2, q) -> list:
+def moduli(material, l1, l2, q) -> list:
     """w1, w2, w11, w12, w22, C12, D12; nothing cancels where λ1 and λ2 are nearly equal.
 
     There M = (w1 − w2)/(λ1 − λ2) is the mean of w11 − w12 over the stretches between (λ1, λ2) and (λ2, λ1).
@@ -134,14 +134,14 @@ def _forms(base: _Base) -> tuple[jax.Array, jax.Array]:
 
 def _integrand(material, base: _Base, p, q) -> jax.Array:
     """The matrix of the integrand by (U, V, W, U', V', W'): the coefficients (3, 6, 6, points, lanes) of 1, n, n²."""
-    w1, w2, w11, w12, w22, shear, twist = _moduli(material, base.l1, base.l2, q)
+    w1, w2, w11, w12, w22, shear, twist = moduli(material, base.l1, base.l2, q)
     o = jnp.zeros_like(w1)
-    moduli = [[w11, o, o, w12, o, o], [o, w1 / base.l1, o, o, o, o], [o, o, shear, o, twist, o]]
-    moduli += [[w12, o, o, w22, o, o], [o, o, twist, o, shear, o], [o, o, o, o, o, w2 / base.l2]]
+    matrix = [[w11, o, o, w12, o, o], [o, w1 / base.l1, o, o, o, o], [o, o, shear, o, twist, o]]
+    matrix += [[w12, o, o, w22, o, o], [o, o, twist, o, shear, o], [o, o, o, o, o, w2 / base.l2]]
     zeroth, first = _forms(base)
 
     def product(a, b):
-        return jnp.einsum("kigl,kmgl,mjgl->ijgl", a, _table(moduli), b) * base.radius
+        return jnp.einsum("kigl,kmgl,mjgl->ijgl", a, _table(matrix), b) * base.radius
 
     r, of_r, of_z = base.radius * base.l2, base.l1 * base.cosine, base.l1 * base.sine
     none = jnp.zeros((6, 6, *o.shape))

@@ -7,11 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import brentq
-from scipy.special import jn_zeros, jv, jvp
+from scipy.special import assoc_legendre_p_all, jn_zeros, jv, jvp
 
 import dielectric_jax as dj
 from dielectric_jax.model import State, stresses
 from dielectric_jax.modes import ModeSpectrum
+from dielectric_jax.modes.second_variation import _Base, _integrand
 
 REFERENCE = json.loads((pathlib.Path(__file__).parents[1] / "data" / "modes.json").read_text(encoding="utf-8"))
 
@@ -160,3 +161,39 @@ def test_bad_input_is_refused_in_a_sentence(membrane):
     ):
         with pytest.raises(ValueError, match=words):
             dj.mode_spectrum(*arguments)
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3, 5])
+@pytest.mark.parametrize("number", [0, 1, 2])
+def test_the_form_of_a_sphere(degree, number):
+    """δx = f Y e_r + g ∇Y on a full sphere of reference radius 1 and stretch λ; a = w11, b = w12, T = w1/λ, L = l(l + 1):
+
+    Q = f² (2 (a + b) + T (L − 4)) − 2 f g L (a + b − T) + g² L (a L − a + b − T).
+    """
+    if number > degree:
+        return
+    stretch, q, material = 2.0, 0.02, dj.NeoHookean()
+    w1, _, a, b = (float(v) for v in stresses(material, stretch, stretch, q))
+    tension, size = w1 / stretch, degree * (degree + 1)
+    known = np.array(
+        [2 * (a + b) + tension * (size - 4), -size * (a + b - tension), size * (a * size - a + b - tension)]
+    )
+    nodes, weights = np.polynomial.legendre.leggauss(24)
+    sine = np.sqrt(1 - nodes**2)  # of the angle S from the apex, the radius of the parallels of the reference
+    values = assoc_legendre_p_all(degree, number, nodes, diff_n=2)[:, degree, number]
+    y, slope, bend = values[0], -sine * values[1], sine**2 * values[2] - nodes * values[1]
+    norm = np.sqrt(np.sum(weights * y**2) * (2 * np.pi if number == 0 else np.pi))
+    y, slope, bend = y / norm, slope / norm, bend / norm
+    cosine, per = nodes, 1 / sine
+    # U cos nΘ e_r + V sin nΘ e_Θ + W cos nΘ e_z, z downward, and their derivatives, of the normal and of the tangential part
+    normal = [y * sine, 0 * y, -y * cosine, slope * sine + y * cosine, 0 * y, -slope * cosine + y * sine]
+    hoop = -number * y * per
+    of_hoop = -number * (slope * per - y * cosine * per**2)
+    along = [slope * cosine, hoop, slope * sine]
+    along += [bend * cosine - slope * sine, of_hoop, bend * sine + slope * cosine]
+    base = _Base(*(jnp.asarray(v)[:, None] for v in (sine, 0 * y + stretch, 0 * y + stretch, sine, cosine)))
+    form = np.asarray(_integrand(material, base, 2 * tension / stretch, q))[..., 0]
+    whole = form[0] + number * form[1] + number**2 * form[2]
+    both = np.stack([normal, along])
+    found = np.einsum("aig,ijg,bjg,g->ab", both, whole, both, weights * per) * (2 * np.pi if number == 0 else np.pi)
+    assert [found[0, 0], found[0, 1], found[1, 1]] == pytest.approx(known.tolist(), abs=1e-10)
