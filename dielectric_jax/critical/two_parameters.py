@@ -174,12 +174,13 @@ def fold_curves(
     plan = System(of["fold"], ConditionsOver(scene, parameter), (low, high))
     values = [plan.value(w) for w in shares]
     seeds, doubts = _seeds(scene, parameter, values, largest_ratio)
+    windows = [scene.replace(**{parameter: value}).limits()[0] for value in values]
     curves, points = [], []
     for kind in kinds:
         system = System(of[kind], ConditionsOver(scene, parameter), (low, high))
         own = [(i, np.append(u / SCALE, shares[i])) for i, k, u in seeds if k == kind]
         own = [seed for seed in own if control == "pressure" or seed[1][2] >= 0]
-        found, words = _followed(system, shares, own, largest_ratio)
+        found, words = _followed(system, shares, own, largest_ratio, windows)
         points += [
             _point(name, len(curves) + k, system, place) for k, one in enumerate(found) for name, place in one.points
         ]
@@ -190,8 +191,11 @@ def fold_curves(
     )
 
 
-def _followed(system: System, shares, seeds: list, largest_ratio: float) -> tuple[list[Followed], list]:
-    """Every curve through seeds (sample, z), and the disagreements between curves and seeds: (z, description)."""
+def _followed(system: System, shares, seeds: list, largest_ratio: float, windows) -> tuple[list[Followed], list]:
+    """Every curve through seeds (sample, z), and the disagreements between curves and seeds: (z, description).
+
+    A curve may leave the `windows`, the apex stretches of the diagrams at the samples, which show nothing beyond.
+    """
     curves: list[Followed] = []
     doubts = []
     passed = [False] * len(seeds)
@@ -214,6 +218,7 @@ def _followed(system: System, shares, seeds: list, largest_ratio: float) -> tupl
             for m in near:
                 passed[m] = True
             inside = place.ratio < 0.999 * largest_ratio and place.fraction < 0.999 * LARGEST_LOAD
+            inside &= windows[j][0] < place.z[0] * SCALE[0] < windows[j][1] * (1 - 1e-6)
             if not near and inside and abs(place.z[2]) > 1e-9:
                 doubts.append((place.z, " is on a curve but not in the diagram."))
     return curves, doubts

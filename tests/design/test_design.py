@@ -77,6 +77,20 @@ def test_worst_case(scene, surface):
     assert loose.parameters["chamber_volume"] > best.parameters["chamber_volume"]
 
 
+@pytest.mark.parametrize("name", ["radius", "shear_modulus"])
+def test_another_film_leaves_the_chamber_what_it_is_in_si(name):
+    """The worst case over an uncertain film is that of diagrams in which the optimised chamber keeps its litres."""
+    chamber = dj.Chamber(volume=18e-3, initial_volume=27e-6, atmospheric_pressure=100e3)
+    scene = dj.Scene.from_si(dj.Membrane(dj.Gent(120.0)), chamber, dj.Units(thickness=0.8e-3))
+    limits = {"chamber_volume": (1500.0, 1700.0)}
+    best = dj.maximise_area_strain(scene, limits, uncertain={name: 0.02}, check=False)
+    chosen = scene.replace(**best.parameters)
+    nominal = float(getattr(chosen.units, name))
+    films = [chosen.replace(**{name: nominal * share}) for share in (0.98, 1.0, 1.02)]
+    worst = min(float(dj.critical.area_strain(film)) for film in films)
+    assert float(best.area_strain) == pytest.approx(worst, rel=1e-8)
+
+
 def test_slopes(scene, surface):
     """Derivatives by the implicit function theorem, against central differences of the ramps."""
     ramps = dj.diagram.chamber_ramps(surface, 1600.0 + np.array([-0.5, 0.0, 0.5]), 2.42)
