@@ -333,9 +333,28 @@ def mapped(scene, name, limits) -> float:
     return 0.0
 
 
+@contextlib.contextmanager
+def none_may_survive(scene, name, limits, margin: float):
+    """Lets `maximise_area_strain` refuse a range in which no diagram's ramp breaks down on its branch after landings with a margin."""
+    try:
+        yield
+    except ValueError as error:
+        if "must contain a design that satisfies the constraints" not in str(error):
+            raise
+        for value in np.linspace(*limits, 5):
+            ramp = diagram_of(scene.replace(**{name: value})).ramp()
+            landed = max([e.state.breakdown_ratio for e in ramp["landing"]], default=0.0)
+            fair = ramp.area_strain_reason == "breakdown on the branch" and landed <= 1 - margin - 1e-6
+            compare(f"whether {name} = {value!r} survives", fair, False)
+
+
 def maximised(scene, name, limits) -> float:
     """`maximise_area_strain` over the parameter against the diagram of its design and a scan."""
-    best = dj.maximise_area_strain(scene, {name: limits}, survival_margin=0.05, compare=16)
+    best = None
+    with none_may_survive(scene, name, limits, 0.05):
+        best = dj.maximise_area_strain(scene, {name: limits}, survival_margin=0.05, compare=16)
+    if best is None:
+        return 0.0
     assert best.diagram is not None and best.scan is not None
     compare("worse than the scan", bool(best.scan["gain"] < -1e-9), False)
     # the diagram is that of the design moved inwards by 1e-7 of the range
@@ -346,7 +365,11 @@ def made_robust(scene, name, limits) -> float:
     """`maximise_area_strain` with the parameter uncertain against the worst of the diagrams in the box."""
     sought, share = _beside(scene, ""), 0.02
     over = {sought: limits_of(scene, sought)}
-    best = dj.maximise_area_strain(scene, over, uncertain={name: share}, check=False)
+    best = None
+    with none_may_survive(scene, sought, over[sought], 0.0):
+        best = dj.maximise_area_strain(scene, over, uncertain={name: share}, check=False)
+    if best is None:
+        return 0.0
     chosen = scene.replace(**best.parameters)
     values = [float(value_of(chosen, name)) * f for f in (1 - share, 1.0, 1 + share)]
     strains = [diagram_of(chosen.replace(**{name: v})).ramp().area_strain for v in values]
