@@ -229,7 +229,8 @@ def _solve(solver, limits, kinds, points, tolerance, certify: bool, extend: bool
     solved = Solved(solver, curves, located, missed, tolerance, certify, modes)
     if modes:
         more, lost = neutral_points(solved, modes)
-        solved = dataclasses.replace(solved, located=located + more, missed=missed + lost)
+        located = sorted(located + more, key=lambda p: (p.branch, p.position))
+        solved = dataclasses.replace(solved, located=located, missed=missed + lost)
     return solved, complete
 
 

@@ -10,7 +10,7 @@ APEX_RADII = 3.0
 # steps of the shot that gives the state along the radius; finer grids change the eigenvalues by less than 1e-9
 PROFILE_STEPS = (48.0, 96.0, 160.0, 240.0, 240.0)
 # the last functions of each component, and twice as many, whose shares of an eigenvalue give its error estimate: the true error was
-# at most 0.11 of it; benchmarks/acceptance/modes.py
+# at most 0.33 of it; benchmarks/acceptance/modes.py
 DROPPED = 2
 # states of one call of the compiled programs, for each of the sizes: one, where most spectra end, and as many as a cache holds
 STATES_TOGETHER = ((1, 16), (16,), (4,), (4,), (4,))

@@ -15,6 +15,7 @@ from .drawing import (
 )
 from .maps import plot_fold_curves, plot_regime_map
 from .materials import balloon_pressure, plot_material, tension_curves
+from .modes import plot_mode, plot_spectra
 from .states import breakdown_latitudes, plot_cross_section, plot_distribution
 
 __all__ = [
@@ -36,9 +37,11 @@ __all__ = [
     "plot_distribution",
     "plot_fold_curves",
     "plot_material",
+    "plot_mode",
     "plot_pressure_volume",
     "plot_ramp",
     "plot_regime_map",
+    "plot_spectra",
     "plot_voltage_volume",
     "point_entries",
     "ramp_path",

@@ -1,4 +1,7 @@
-"""Conjugate points by integration of the modes' equations: an independent certificate of neutral loads and indices."""
+"""Conjugate points by integration of the modes' equations: an independent certificate of neutral loads.
+
+Their indices are compared with those of spectra in test_spectrum.
+"""
 
 import json
 import pathlib
@@ -30,29 +33,6 @@ def test_neutral_loads_of_the_reference(known):
         middle = last - above * (last - first) / (above - below)
         first, below, last, above = last, above, middle, at(middle)
     assert last == pytest.approx(known["voltage_squared"], rel=1e-10)
-
-
-FILMS = {
-    "gent": dj.Membrane(dj.Gent(270.0)),
-    "mooney-rivlin": dj.Membrane(dj.MooneyRivlin(0.45, 0.01), 1.3),
-    "eight-chain": dj.Membrane(dj.ArrudaBoyce(60.0), 1.5),
-    "electrostrictive": dj.Membrane(dj.Electrostrictive(dj.Gent(100.0), stretch_coefficient=-0.02), 1.2),
-}
-
-
-@pytest.mark.parametrize("name", FILMS)
-def test_indices_are_those_of_the_spectrum(name):
-    film, numbers = FILMS[name], (1, 2, 5, 12)
-    states = [s for v in (0.05, 0.16) for s in dj.equilibrium(film, voltage=v, pressure=0.6, all=True)]
-    counted = 0
-    for state, spectrum in zip(states, dj.mode_spectrum(film, states, numbers, count=1), strict=True):
-        if spectrum.hoop_tension < -5:
-            continue  # thin compressed layers, where neither is decided
-        for k, number in enumerate(numbers):
-            if not spectrum.index.mask[k]:
-                assert conjugate_points(film, state, number).index == spectrum.index[k], (state, number)
-                counted += 1
-    assert counted >= 8
 
 
 def test_bad_input_is_refused(membrane):

@@ -11,7 +11,7 @@ from scipy.special import assoc_legendre_p_all, jn_zeros, jv, jvp
 
 import dielectric_jax as dj
 from dielectric_jax.model import State, stresses
-from dielectric_jax.modes import ModeSpectrum
+from dielectric_jax.modes import ModeSpectrum, conjugate_points
 from dielectric_jax.modes.second_variation import _Base, _integrand
 
 REFERENCE = json.loads((pathlib.Path(__file__).parents[1] / "data" / "modes.json").read_text(encoding="utf-8"))
@@ -109,9 +109,12 @@ def test_axisymmetric_modes_agree_with_the_index_of_states(name):
     charged = dj.ChargeControl(dj.ConstantPressure(1.0)), dj.ChargeControl(dj.PrescribedVolume(1.0))
     for loading in (None, dj.PrescribedVolume(1.0), *charged):
         what = film if loading is None else dj.Scene(film, loading)
-        for state, spectrum in zip(states, dj.mode_spectrum(what, states, (0, 1)), strict=True):
+        for state, spectrum in zip(states, dj.mode_spectrum(what, states, (0, 1, 2, 8)), strict=True):
             assert spectrum.index[0] == dj.stability_of(what, state).index
             assert spectrum.error_estimate.max() < 1e-6
+            if loading is None:
+                certified = [conjugate_points(film, state, n).index for n in (1, 2, 8)]
+                assert spectrum.index[1:].tolist() == certified
 
 
 def test_a_user_s_energy_gives_the_same_as_the_package_s(membrane):
@@ -134,6 +137,12 @@ def test_shapes_are_normalised_and_clamped(membrane):
             max(v.max() for v in (shape.radial, shape.hoop, shape.vertical))
         )
     assert spectrum.shape(4).radial[0] == pytest.approx(0.0, abs=1e-12)
+    ax = dj.plot.plot_mode(dj.profile(membrane, state), spectrum.shape(4), amplitude=0.2)
+    assert ax.get_title().startswith("n = 4, Λ = ")
+    (line, *_) = dj.plot.plot_spectra(spectrum).lines
+    assert line.get_ydata().tolist() == spectrum.eigenvalues[:, 0].tolist()
+    with pytest.raises(ValueError, match="`amplitude` must lie between 0 and 1"):
+        dj.plot.plot_mode(dj.profile(membrane, state), spectrum.shape(4), amplitude=0.0)
 
 
 def test_frequencies_in_hertz(membrane):
