@@ -481,7 +481,9 @@ def _column(values, dimensions: int):
 
 
 def _terms(values) -> tuple:
-    return tuple(as_scalar(v) for v in values) if np.ndim(values) else (as_scalar(values),)
+    # a tuple may hold traced numbers, which NumPy must not read
+    many = isinstance(values, (tuple, list)) or jnp.ndim(values) > 0
+    return tuple(as_scalar(v) for v in values) if many else (as_scalar(values),)
 
 
 class Ogden(AbstractMaterial):

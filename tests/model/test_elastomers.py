@@ -4,6 +4,7 @@ import functools
 import math
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -67,6 +68,12 @@ def test_mooney_rivlin_by_hand():
     np.testing.assert_allclose(s1, 2 * (L1 - L1**-3 * L2**-2) * (0.4 + 0.1 * L2**2), rtol=1e-13, atol=1e-13)
     np.testing.assert_allclose(s2, 2 * (L2 - L2**-3 * L1**-2) * (0.4 + 0.1 * L1**2), rtol=1e-13, atol=1e-13)
     np.testing.assert_allclose(s11, 2 * (1 + 3 * L1**-4 * L2**-2) * (0.4 + 0.1 * L2**2), rtol=1e-13)
+
+
+def test_constants_of_an_ogden_film_of_one_term_are_differentiable():
+    """W is linear in μ1."""
+    energy, slope = jax.value_and_grad(lambda m: dj.Ogden((m,), (2.0,)).energy(1.5, 1.2))(0.8)
+    assert float(slope) == pytest.approx(float(energy) / 0.8, rel=1e-14)
 
 
 def test_ogden_by_hand():
