@@ -18,6 +18,7 @@ from .cusps import (
     pressure_valley,
     zero_voltage_point,
 )
+from .mode_points import mode_point
 from .two_parameters import FoldCurve, FoldCurves, TwoParameterPoint, fold_curves
 
 __all__ = [
@@ -33,6 +34,7 @@ __all__ = [
     "cusp",
     "fold_curves",
     "landing_point",
+    "mode_point",
     "pressure_cusp",
     "pressure_peak",
     "pressure_valley",

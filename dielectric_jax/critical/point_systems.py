@@ -32,6 +32,7 @@ __all__ = [
     "attach_free",
     "correction",
     "linearised",
+    "rates_of",
 ]
 
 #: the order of the derivatives of r and V in the equations of a kind
@@ -191,6 +192,11 @@ def _rates(kind: PointKind, free, by_u, by_theta):
     if free is not None:
         volume = volume + by_theta[-1:, -1:] @ of_free
     return jnp.concatenate([of_u, volume, of_free])
+
+
+def rates_of(by_u, by_theta):
+    """Derivatives of λa, p, q, V, and 0, by the leaves of θ, of a point that three equations determine."""
+    return _program(_rates, PointKind.load, None)(by_u, by_theta)
 
 
 def _free_rates(free, by_u, by_theta):

@@ -1,5 +1,13 @@
 from .jacobi import ConjugatePoints, conjugate_points
-from .spectrum import ModeShape, ModeSpectrum, checked_numbers, lowest_eigenvalues, lowest_of_numbers, mode_spectrum
+from .spectrum import (
+    ModeShape,
+    ModeSpectrum,
+    checked_numbers,
+    lowest_eigenvalue,
+    lowest_eigenvalues,
+    lowest_of_numbers,
+    mode_spectrum,
+)
 
 __all__ = [
     "ConjugatePoints",
@@ -7,6 +15,7 @@ __all__ = [
     "ModeSpectrum",
     "checked_numbers",
     "conjugate_points",
+    "lowest_eigenvalue",
     "lowest_eigenvalues",
     "lowest_of_numbers",
     "mode_spectrum",

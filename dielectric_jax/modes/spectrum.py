@@ -26,6 +26,7 @@ from ..numerics import cached_jit, lapack_alone, lowest_eigenpairs, number_below
 from .basis import Tables, apex_sample, coordinate, functions, gauss, tables
 from .resolution import (
     COUNTS,
+    DIFFERENTIATED,
     DROPPED,
     EQUILIBRIUM,
     GAUSS_POINTS,
@@ -44,7 +45,15 @@ from .resolution import (
 )
 from .second_variation import Assembled, Sampled, assembled, sampled
 
-__all__ = ["ModeShape", "ModeSpectrum", "checked_numbers", "lowest_eigenvalues", "lowest_of_numbers", "mode_spectrum"]
+__all__ = [
+    "ModeShape",
+    "ModeSpectrum",
+    "checked_numbers",
+    "lowest_eigenvalue",
+    "lowest_eigenvalues",
+    "lowest_of_numbers",
+    "mode_spectrum",
+]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -293,6 +302,18 @@ def lowest_eigenvalues(membrane: Membrane, u: np.ndarray, numbers: np.ndarray) -
             levels = _converged(membrane, u.T[own], np.zeros((len(own), 4)), asked)
             found[own] = [level.values[0, 0] for level in levels]
     return found
+
+
+def lowest_eigenvalue(material, u: jax.Array, number: int) -> jax.Array:
+    """The lowest eigenvalue of a number n ≥ 1 at u = (λa, p, q), on one large basis, to be differentiated.
+
+    By LAPACK's full solver, whose derivatives JAX knows.
+    """
+    size, points = SIZES[DIFFERENTIATED], GAUSS_POINTS[DIFFERENTIATED]
+    states = sampled(points)(material, u[:, None], np.asarray(PROFILE_STEPS[DIFFERENTIATED]))
+    parts = jax.tree.map(lambda v: v[0], assembled(states, tables(size, points, bool(number % 2))))
+    matrix = _matrices(parts, jnp.zeros(5).at[4].set(1.0), jnp.array([float(number)]))[0]
+    return jnp.linalg.eigh(matrix)[0][0]
 
 
 def lowest_of_numbers(membrane: Membrane, u: np.ndarray, numbers: Sequence[int]) -> np.ndarray:

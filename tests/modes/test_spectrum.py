@@ -145,6 +145,26 @@ def test_shapes_are_normalised_and_clamped(membrane):
         dj.plot.plot_mode(dj.profile(membrane, state), spectrum.shape(4), amplitude=0.0)
 
 
+def test_reference_frequencies():
+    """Squared angular frequencies in μ/(ρA²); those of n = 0 are listed without the twist."""
+    data = pathlib.Path(__file__).parents[1] / "data" / "frequencies.json"
+    for entry in json.loads(data.read_text(encoding="utf-8"))["items"]:
+        film = dj.Membrane(dj.Gent(270.0), entry["prestretch"])
+        u = (entry[name]["value"] for name in ("pressure", "volume", "apex_stretch"))
+        state = State(entry["voltage"] ** 2, *u, np.nan, np.nan, np.nan, None, 1e-12)
+        loading = dj.ConstantPressure(state.pressure)
+        if entry["chamber_volume"] is not None:
+            loading = dj.Chamber(volume=entry["chamber_volume"], initial_volume=entry["initial_volume"])
+        numbers = sorted({int(k[7]) for k in entry if k.startswith("omega_n")})
+        what = dj.Scene(film, loading) if entry["chamber_volume"] is not None else film
+        spectrum = dj.mode_spectrum(what, state, (0, *numbers), count=6)
+        for name, known in entry.items():
+            if name.startswith("omega"):
+                row = 0 if name.startswith("omega_axisymmetric") else 1 + numbers.index(int(name[7]))
+                near = np.abs(np.sqrt(spectrum.eigenvalues[row]) / known["value"] - 1).min()
+                assert near < max(1e-9, 10.0 ** (1 - known["digits"])), (entry["voltage"], name)
+
+
 def test_frequencies_in_hertz(membrane):
     state = dj.equilibrium(membrane, pressure=1.0)
     spectrum = dj.mode_spectrum(membrane, state, (1,), count=1)
