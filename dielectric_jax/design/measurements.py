@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from ..numerics import shown
 from .resolution import BELOW_ZERO, NOISE_OF_VOLUME, SHORTEST_RUN, TURN
 from .text_tables import NUMBER, QUANTITIES, Line, Table, bare, full, split, table_of
 
@@ -62,10 +63,10 @@ def read_measurement(
     """
     path = pathlib.Path(file)
     if branch is not None and branch not in BRANCHES:
-        raise ValueError(f"`branch` must be one of {', '.join(BRANCHES)}, but is {branch!r}.")
+        raise ValueError(f"`branch` must be one of {', '.join(BRANCHES)}, but is {shown(branch)}.")
     for name, given in (("columns", columns), ("column_units", column_units)):
         if given is not None and len(given) != 2:
-            raise ValueError(f"`{name}` must be two, of volume and of pressure, but are {list(given)!r}.")
+            raise ValueError(f"`{name}` must be two, of volume and of pressure, but are {shown(list(given))}.")
     lines, table, notices = table_of(path, columns, column_units)
     cells = _cells(path, lines[table.first :], table)
     values, where, left = _numbers(path, cells)
@@ -166,7 +167,7 @@ def _numbers(path, rows) -> tuple[np.ndarray, np.ndarray, list[str]]:
         for quantity, cell, value in zip(QUANTITIES, pair, found, strict=True):
             if value is None or not np.isfinite(value):
                 raise ValueError(
-                    f"`data` must hold numbers, but line {number} of {path} has {cell!r} as its {quantity}."
+                    f"`data` must hold numbers, but line {number} of {path} has {shown(cell)} as its {quantity}."
                 )
         values.append(found)
         kept.append(number)

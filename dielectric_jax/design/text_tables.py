@@ -8,6 +8,7 @@ import pathlib
 import re
 from collections.abc import Iterator, Sequence
 
+from ..numerics import shown
 from .column_names import Head, is_absolute, names_text, read_head, unit_size
 
 __all__ = ["NUMBER", "QUANTITIES", "Line", "Table", "bare", "full", "split", "table_of"]
@@ -178,7 +179,7 @@ def _find_table(path, lines: list[Line], columns, column_units) -> Table:
 def _no_columns(path, lines: list[Line], first: int, columns) -> str:
     if columns is not None:
         return (
-            f"`columns` must be headings of one column each in {path}, but {' and '.join(map(repr, columns))} are not."
+            f"`columns` must be headings of one column each in {path}, but {' and '.join(map(shown, columns))} are not."
         )
     head = next((line for line in reversed(lines[:first]) if not line.remark), None)
     advice = "name them and their units in the first line, or give `columns` and `column_units`"
@@ -187,7 +188,7 @@ def _no_columns(path, lines: list[Line], first: int, columns) -> str:
     text = " ".join(head.text.split())[:120]
     height = "; a height is not a volume" if re.search("height|deflection|displacement", text, re.IGNORECASE) else ""
     return (
-        f"`data` must have columns named volume and pressure, but line {head.number} of {path} names {text!r}{height}; "
+        f"`data` must have columns named volume and pressure, but line {head.number} of {path} names {shown(text)}{height}; "
         f"{advice}."
     )
 
@@ -296,7 +297,7 @@ def _with_units(path, lines, head: Line | None, table: Table, column_units) -> T
             raise ValueError(f"`data` must give the {quantity} in a unit, but in {path} {error}.") from None
         if size is None:
             raise ValueError(
-                f"`data` must give the {quantity} in a unit such as {names_text(quantity)}, but {path} says {unit!r}."
+                f"`data` must give the {quantity} in a unit such as {names_text(quantity)}, but {path} says {shown(unit)}."
             )
         heads[k] = Head(quantity, unit, size, 0, k == 1 and (heads[k].absolute or is_absolute(unit or "")))
     if bool(heads[0].size) != bool(heads[1].size):

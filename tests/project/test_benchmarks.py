@@ -91,6 +91,12 @@ def test_lowest_eigenpairs_are_those_of_lapack(tmp_path):
     assert all(r["error"] < 1e-13 for r in record["records"]), said
 
 
+def test_spectra_are_measured_and_right(tmp_path):
+    record, said = quick("speed.modes", tmp_path)
+    assert [r["name"] for r in record["records"]] == ["shot", "1e-08"], said
+    assert record["records"][1]["error"] < 1e-8, said
+
+
 def test_the_first_diagram_is_measured_and_right(tmp_path):
     record, said = quick("speed.first_diagram", tmp_path)
     names = [r["name"] for r in record["records"]]
