@@ -34,6 +34,3 @@ SHAPE_POINTS, HOOP_POINTS = 201, 257
 SIGN_SHARE, NEUTRAL_TOLERANCE = 0.1, 1e-8
 # where the certificate starts, as its error there falls like R², and its steps in ln R: 1e-12 in the neutral loads of the reference
 JACOBI_START, JACOBI_STEPS = 1e-6, 800
-# which of the sizes gives the derivatives of an eigenvalue: that of 40 functions, as none of the reference's neutral points needs more
-# to 1e-7
-DIFFERENTIATED = 3

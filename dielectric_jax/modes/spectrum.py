@@ -26,7 +26,6 @@ from ..numerics import cached_jit, lapack_alone, lowest_eigenpairs, number_below
 from .basis import Tables, apex_sample, coordinate, functions, gauss, tables
 from .resolution import (
     COUNTS,
-    DIFFERENTIATED,
     DROPPED,
     EQUILIBRIUM,
     GAUSS_POINTS,
@@ -305,12 +304,12 @@ def lowest_eigenvalues(membrane: Membrane, u: np.ndarray, numbers: np.ndarray) -
 
 
 def lowest_eigenvalue(material, u: jax.Array, number: int) -> jax.Array:
-    """The lowest eigenvalue of a number n ≥ 1 at u = (λa, p, q), on one large basis, to be differentiated.
+    """The lowest eigenvalue of a number n ≥ 1 at u = (λa, p, q), on the largest basis, to be differentiated.
 
     By LAPACK's full solver, whose derivatives JAX knows.
     """
-    size, points = SIZES[DIFFERENTIATED], GAUSS_POINTS[DIFFERENTIATED]
-    states = sampled(points)(material, u[:, None], np.asarray(PROFILE_STEPS[DIFFERENTIATED]))
+    size, points = SIZES[-1], GAUSS_POINTS[-1]
+    states = sampled(points)(material, u[:, None], np.asarray(PROFILE_STEPS[-1]))
     parts = jax.tree.map(lambda v: v[0], assembled(states, tables(size, points, bool(number % 2))))
     matrix = _matrices(parts, jnp.zeros(5).at[4].set(1.0), jnp.array([float(number)]))[0]
     return jnp.linalg.eigh(matrix)[0][0]
