@@ -14,14 +14,15 @@ ZERO = float(np.roots([1.0, 0.0, -3.0, 3.0]).real.min())
 
 
 class Cubic:
-    """The curve up to x = `top`, broken from x = `breaks` on."""
+    """The curve up to x = `top`, broken from x = `breaks` on; a mode is unstable from x = `bulges` on."""
 
-    def __init__(self, breaks: float = 2.5, top: float = 10.0):
-        self.breaks, self.top = breaks, top
+    def __init__(self, breaks: float = 2.5, top: float = 10.0, bulges: float = np.inf):
+        self.breaks, self.top, self.bulges = breaks, top, bulges
 
     def next_stop(self, here: float, rising: bool) -> Stop:
         side = 1.0 if (3 * here**2 - 3 > 0) == rising else -1.0
         known = [(PointKind.fold, -1.0), (PointKind.fold, 1.0)]
+        known += [(PointKind.mode, self.bulges)]
         known += [(PointKind.breakdown, self.breaks)] if rising else [(PointKind.zero_voltage, ZERO)]
         ahead = [(side * (x - here), kind, x) for kind, x in known if side * (x - here) > 1e-9 and x <= self.top]
         if not ahead:
@@ -38,6 +39,9 @@ class Cubic:
     def is_broken(self, landing: float) -> bool:
         return landing >= self.breaks
 
+    def loss(self, here: float) -> str | None:
+        return "bulges" if here >= self.bulges else None
+
 
 def places_of(steps) -> list[tuple]:
     """Events and places of a ramp; at the window's edge the place it was left from."""
@@ -52,6 +56,11 @@ def places_of(steps) -> list[tuple]:
         (Cubic(-1.5), [("breakdown", -1.5)], "breakdown on the branch"),
         (Cubic(1.9, top=1.5), [("snap", -1), ("no_landing", -1)], "no landing"),
         (Cubic(20.0), [("snap", -1), ("landing", 2), ("end", 2)], "window"),
+        (Cubic(bulges=-1.5), [("end", -1.5)], "bulges"),
+        (Cubic(bulges=2.2), [("snap", -1), ("landing", 2), ("end", 2.2)], "bulges"),
+        (Cubic(bulges=1.5), [("snap", -1), ("landing", 2), ("end", 2)], "bulges"),
+        (Cubic(1.9, bulges=1.5), [("snap", -1), ("landing", 2), ("breakdown", 2)], "breakdown in the snap"),
+        (Cubic(bulges=-3.0), [("end", ZERO)], "bulges"),
     ],
 )
 def test_the_way_up(curve, events, reason):
