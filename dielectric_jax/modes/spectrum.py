@@ -219,7 +219,8 @@ def _displacement(vector: np.ndarray, number: int, sharpness: float, radius: np.
 class _Level(typing.NamedTuple):
     """What one basis gives of states: arrays with the states in front, then the numbers.
 
-    `values` and `error` hold one eigenvalue more than asked for; `below` counts the eigenvalues below −δ, 0 and δ, the largest error.
+    `values` and `error`, that of the basis, hold one eigenvalue more than asked for; `below` counts the eigenvalues below −δ, 0 and
+    δ, the largest error with that of the state.
     """
 
     values: np.ndarray
@@ -332,12 +333,13 @@ def lowest_of_numbers(membrane: Membrane, u: np.ndarray, numbers: Sequence[int])
 def _judged(membrane: Membrane, state: State, numbers: np.ndarray, level: _Level) -> ModeSpectrum:
     """The spectrum of a state from one basis, which gives one eigenvalue more than asked for."""
     count = level.values.shape[1] - 1
-    values, error = level.values[:, :count], level.error[:, :count]
+    whole = level.error + STATE_ERROR * state.error_estimate * np.abs(level.values[:, -1:])
+    values, error = level.values[:, :count], whole[:, :count]
     defect = abs(float(level.stretch_change) - (float(membrane.prestretch) - state.apex_stretch))
     if not defect <= EQUILIBRIUM * state.apex_stretch and np.isfinite(values).all():
         raise ValueError(f"`state` must be an equilibrium of the membrane, but is {state!r}.")
     estimate = np.max(error / np.maximum(np.abs(values), 1e-3), axis=1)
-    near = (level.below[:, 0] != level.below[:, 2]) | ~(level.error < np.abs(level.values)).all(axis=1)
+    near = (level.below[:, 0] != level.below[:, 2]) | ~(whole < np.abs(level.values)).all(axis=1)
     index = np.ma.MaskedArray(level.below[:, 1].astype(int), mask=near)
     kept = {"_vectors": level.vectors[:, :count], "_sharpness": float(level.sharpness)}
     return ModeSpectrum(tuple(map(int, numbers)), values, index, estimate, _least(level.hoop), state, **kept)
@@ -413,9 +415,10 @@ def _modes(size: int, count: int):
         few, more = (_truncated(d * DROPPED, matrices, values, vectors, numbers.ravel(), basis) for d in (1, 2))
         # the error falls with the functions like a geometric sequence; half of the next ratio is kept as a margin
         error = few * jnp.sqrt(jnp.minimum(few / jnp.maximum(more, 1e-300), 1.0))
-        rounding = ROUNDING + STATE_ERROR * jnp.repeat(holds[:, 3], many)[:, None]
-        error = error + rounding * jnp.abs(values[:, -1:])
-        largest = jnp.max(error, axis=1)
+        error = error + ROUNDING * jnp.abs(values[:, -1:])
+        # no basis lessens what the state's own error does
+        own = STATE_ERROR * jnp.repeat(holds[:, 3], many)[:, None] * jnp.abs(values[:, -1:])
+        largest = jnp.max(error + own, axis=1)
         below = number_below(t, jnp.stack([-largest, jnp.zeros_like(largest), largest])).T
         found = values, error, below, jnp.swapaxes(vectors, 1, 2)
         return tuple(v.reshape(lanes, many, *v.shape[1:]) for v in found)
