@@ -18,7 +18,10 @@ from .mesh import Curve
 from .resolution import MODE_SAMPLES, NEAR_NEUTRAL
 from .special_points import Located, TestFunction, locate
 
-__all__ = ["loss_at", "neutral_points"]
+__all__ = ["NOT_DECIDED", "loss_at", "neutral_points"]
+
+#: why a ramp ends at a state whose modes no basis resolves
+NOT_DECIDED = "modes not decided"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -54,11 +57,16 @@ def neutral_points(solved: Solved, numbers: Sequence[int]) -> tuple[list[Located
 
 
 def loss_at(solved: Solved, here: Located, numbers: Sequence[int]) -> str | None:
-    """How a state has lost its axisymmetry: "wrinkles" without hoop tension, "bulges" by a mode of one of the numbers; or None."""
+    """How a state has lost its axisymmetry: "wrinkles" without hoop tension, "bulges" by a mode of one of the numbers; or None.
+
+    `NOT_DECIDED` where no mode is known to lower the energy, but the sign of one is not known either.
+    """
     if here.point.hoop[0] < 0:
         return "wrinkles"
     lowest = lowest_of_numbers(solved.solver.membrane, here.point.u, numbers)
-    return "bulges" if (lowest < 0).any() else None
+    if (lowest < 0).any():
+        return "bulges"
+    return NOT_DECIDED if np.isnan(lowest).any() else None
 
 
 def _changes(membrane: Membrane, curve: Curve, numbers: Sequence[int]) -> list[tuple[_Eigenvalue, int]]:

@@ -12,7 +12,7 @@ import typing
 import numpy as np
 
 from ..model import SCANNED_LOAD, Event, Outcome, PointKind, Ramp, RampEvent, SpecialPoint, State, largest_load
-from .mode_points import loss_at
+from .mode_points import NOT_DECIDED, loss_at
 from .resolution import MOST_JUMPS, SAME_STRETCH
 from .states import states_of
 
@@ -185,7 +185,7 @@ def build_ramp(solved, initial_volume: float | None) -> tuple[Ramp, Ramp | None]
     steps = follow(branches, start, rising=True)
     events = branches.events("up", start, steps)
     end, jumps = events[-1], [e for e in events if e.event == RampEvent.snap]
-    held = end.reason in ("window", "breakdown on the branch", "zero voltage", *LOSSES.values())
+    held = end.reason in ("window", "breakdown on the branch", "zero voltage", NOT_DECIDED, *LOSSES.values())
     last_held = end if held else jumps[-1]
     up = Ramp(tuple(events), _strain(last_held.state, first), end.reason)
     landings = [i for i, step in enumerate(steps) if step.event == RampEvent.landing]

@@ -54,7 +54,7 @@ class Tridiagonal(typing.NamedTuple):
     scales: jax.Array
 
     def rotated(self, vectors: jax.Array) -> jax.Array:
-        """Q times vectors (m, n, k), one reflector after the other; LAPACK's own routine takes five times as long."""
+        """Q times vectors (m, n, k), one reflector after the other; LAPACK's own routine takes twice as long."""
         n = self.diagonal.shape[1]
         columns = jnp.moveaxis(jnp.tril(self.reflectors[:, :, :-1], -2) + np.eye(n, n - 1, -1), 0, 2)
         scales = self.scales.T

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import dielectric_jax as dj
+from dielectric_jax.diagram import mode_points
 
 REFERENCE = json.loads((pathlib.Path(__file__).parents[1] / "data" / "modes.json").read_text(encoding="utf-8"))
 LOADINGS = {
@@ -66,6 +67,17 @@ def test_a_ramp_ends_where_the_membrane_loses_its_axisymmetry():
         assert {p.number for p in ends} == numbers
     modes = [p for p in asked.special_points if p.kind == "mode"]
     assert modes and min(p.voltage for p in modes) > ramp.events[-1].state.voltage
+
+
+def test_an_undecided_mode_is_not_taken_for_a_stable_one(membrane, monkeypatch):
+    monkeypatch.setattr(
+        mode_points, "lowest_of_numbers", lambda film, u, numbers: np.full((u.shape[1], len(numbers)), np.nan)
+    )
+    scene = dj.Scene(membrane, dj.Chamber(volume=1600.0, initial_volume=2.42))
+    diagram = dj.voltage_volume(scene, modes=[2])
+    assert [e.event for e in diagram.events if e.direction == "up"] == ["start", "end"]
+    assert diagram.area_strain_reason == "modes not decided"
+    assert dj.regime_of(scene, modes=[2]) == dj.Regime.not_decided
 
 
 def test_breakdown_comes_before_any_mode_in_the_article_s_chamber(membrane):
