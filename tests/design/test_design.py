@@ -91,6 +91,14 @@ def test_another_film_leaves_the_chamber_what_it_is_in_si(name):
     assert float(best.area_strain) == pytest.approx(worst, rel=1e-8)
 
 
+def test_the_other_filling_of_a_chamber(scene, surface):
+    """A scene that is filled to a volume is optimised over its pressure too."""
+    best = dj.maximise_area_strain(scene, {"initial_pressure": (1.87, 1.9)}, surface=surface, check=False)
+    own = scene.replace(**best.parameters)
+    assert own.loading.initial_volume is None
+    assert float(best.area_strain) == pytest.approx(float(dj.critical.area_strain(own)), rel=1e-8)
+
+
 def test_slopes(scene, surface):
     """Derivatives by the implicit function theorem, against central differences of the ramps."""
     ramps = dj.diagram.chamber_ramps(surface, 1600.0 + np.array([-0.5, 0.0, 0.5]), 2.42)
