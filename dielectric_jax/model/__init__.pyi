@@ -49,6 +49,7 @@ from .shooting import UNKNOWNS, eighth_order_step, integrate_membrane, rim_with_
 from .shooting_method import ShootingMethod, shooting_of
 from .stability import Stability, least_along, stability_of
 from .units import VACUUM_PERMITTIVITY, VHB_4910, Units
+from .viscoelastic import Maxwell, Unrelaxed, Viscoelastic, spring_and_branches
 
 __all__ = [
     "CHUNK",
@@ -86,6 +87,7 @@ __all__ = [
     "FoldAhead",
     "Gent",
     "LoadingCondition",
+    "Maxwell",
     "Membrane",
     "MooneyRivlin",
     "NeoHookean",
@@ -108,7 +110,9 @@ __all__ = [
     "Stability",
     "State",
     "Units",
+    "Unrelaxed",
     "VHBBreakdown",
+    "Viscoelastic",
     "Window",
     "apex_series",
     "as_scalar",
@@ -153,6 +157,7 @@ __all__ = [
     "shoot",
     "shooting_of",
     "slopes",
+    "spring_and_branches",
     "stability_of",
     "stresses",
     "stretch_shares",

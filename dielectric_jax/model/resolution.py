@@ -155,3 +155,5 @@ GRID_DOUBT = 20.0
 STATE_DOUBT = 100.0
 # largest defect at the rim of a state that counts as an equilibrium, relative to λa, or to p or q in these
 EQUILIBRIUM = 1e-5
+# each branch adds its own equations to every compiled program in time
+MOST_BRANCHES = 8

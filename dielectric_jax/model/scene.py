@@ -40,6 +40,7 @@ from .membrane import Membrane
 from .parameters import PARAMETERS, parameter_of, place_of
 from .resolution import SCANNED_LOAD
 from .units import Units, is_concrete
+from .viscoelastic import Viscoelastic
 
 __all__ = ["Scene", "Window", "describe", "pair"]
 
@@ -48,10 +49,13 @@ def constants_of(material) -> list[str]:
     """The names of a material's constants: its fields that are numbers, or tuples of them."""
 
     def is_constant(field) -> bool:
-        leaves = jax.tree.leaves(getattr(material, field.name))
+        value = getattr(material, field.name)
+        leaves = jax.tree.leaves(value)
+        if any(isinstance(v, eqx.Module) for v in (value if isinstance(value, tuple) else [value])):
+            return False
         return not field.metadata.get("static", False) and bool(leaves) and not any(map(np.ndim, leaves))
 
-    return [f.name for f in dataclasses.fields(material) if f.name != "elastic" and is_constant(f)]
+    return [f.name for f in dataclasses.fields(material) if is_constant(f)]
 
 
 def pair(name, value) -> tuple[float, float]:
@@ -178,7 +182,9 @@ class Scene(eqx.Module):
         """Where the scene keeps a parameter; raises ValueError where it has none of that name."""
         path = place_of(name)
         if path[:2] == ("membrane", "material") and not self._holds(path):
-            path = (*path[:2], "elastic", path[-1])  # the elasticity of a dielectric
+            # the elasticity of a dielectric, or the spring that a viscoelastic film is at rest
+            part = "equilibrium" if isinstance(self.membrane.material, Viscoelastic) else "elastic"
+            path = (*path[:2], part, path[-1])
         if name not in PARAMETERS and not self._holds(path):
             own = dict.fromkeys((*PARAMETERS, *constants_of(self.membrane.material)))
             raise ValueError(f"`{name}` must be one of {', '.join(own)}, but is not a parameter of a scene.")
@@ -285,6 +291,7 @@ _MATERIAL_NAMES = {
     Ogden: "ogden",
     Electrostrictive: "electrostrictive",
     CustomPermittivity: "custom-permittivity",
+    Viscoelastic: "viscoelastic",
 }
 
 
@@ -299,8 +306,15 @@ def describe(what: Scene | Membrane) -> dict:
     membrane = what.membrane if isinstance(what, Scene) else what
     out: dict = {"material": _MATERIAL_NAMES.get(type(membrane.material), type(membrane.material).__name__)}
     material = membrane.material
+    if isinstance(material, Viscoelastic):
+        out["branches"] = [
+            {"material": _MATERIAL_NAMES.get(type(b.material), type(b.material).__name__)}
+            | _constants(b.material)
+            | {"modulus_ratio": float(b.modulus_ratio), "relaxation_time": float(b.relaxation_time)}
+            for b in material.branches
+        ]
     if isinstance(material, AbstractDielectric):
-        elastic = getattr(material, "elastic", None)
+        elastic = material.equilibrium if isinstance(material, Viscoelastic) else getattr(material, "elastic", None)
         out["elastic"] = _MATERIAL_NAMES.get(type(elastic), type(elastic).__name__)
         out |= _constants(elastic)
     out |= _constants(material)

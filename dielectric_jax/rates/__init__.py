@@ -1,0 +1,5 @@
+"""The membrane in time: viscoelastic films, ramps with a rate, creep, delayed snap."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

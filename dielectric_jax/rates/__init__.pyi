@@ -1,0 +1,5 @@
+from .following import bounds, follow
+from .protocols import AbstractProtocol, Hold, Ramp, Steps, Triangle
+from .runs import Run, RunEvent, Snap
+
+__all__ = ["AbstractProtocol", "Hold", "Ramp", "Run", "RunEvent", "Snap", "Steps", "Triangle", "bounds", "follow"]

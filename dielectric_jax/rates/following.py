@@ -1,0 +1,333 @@
+"""The membrane in time: legs of a protocol, jumps at instantaneous folds, and what happens."""
+
+import dataclasses
+import math
+import typing
+from collections.abc import Sequence
+
+import jax
+import numpy as np
+
+from ..diagram import Diagram, equilibrium, voltage_volume
+from ..model import (
+    Chamber,
+    ConstantPressure,
+    LoadingCondition,
+    Membrane,
+    PrescribedVolume,
+    Scene,
+    State,
+    mechanical,
+    other_loading,
+    profile,
+    spring_and_branches,
+)
+from ..numerics import Code, SceneError, check_between, shown
+from .balance import Grid, Shape
+from .passages import Asking, Now, Passed, Setting, passed
+from .programs import Seen
+from .protocols import Leg, Linear, legs_of
+from .requests import Request, serve
+from .resolution import LANDING_TOLERANCE, LEAP_SCALE, LOAD_SCALE, MESHES, MOST_JUMPS, TOLERANCE_SHARE, VOLUME_SCALE
+from .runs import Run, at_rest, at_start, dataset_of, event_of
+
+__all__ = ["bounds", "follow"]
+
+_STARTS = ("relaxed", "fresh")
+_REASONS = {
+    "end": "end of the protocol",
+    "at_rest": "at rest",
+    "hoop_tension_loss": "hoop tension lost",
+    "breakdown": "breakdown on the branch",
+    "lost": "not converged",
+    "unfinished": "too many steps",
+}
+
+
+def _start_state(scene: Scene | Membrane, membrane: Membrane, values: dict) -> State:
+    """The elastic state from which a run starts, at zero voltage."""
+    for name in ("volume", "pressure"):
+        if name in values:
+            return equilibrium(membrane, **{name: values[name]})
+    if not isinstance(scene, Scene):
+        raise ValueError("`scene` must be a Scene unless volume or pressure is given, but is a Membrane.")
+    loading = mechanical(scene.loading)
+    if isinstance(loading, ConstantPressure):
+        return equilibrium(membrane, pressure=float(loading.pressure))
+    if isinstance(loading, PrescribedVolume):
+        return equilibrium(membrane, volume=float(loading.volume))
+    if not isinstance(loading, Chamber):
+        raise other_loading(loading, Chamber, ConstantPressure, PrescribedVolume)
+    if loading.initial_volume is not None:
+        return equilibrium(membrane, volume=float(loading.initial_volume))
+    return equilibrium(membrane, pressure=float(typing.cast(typing.Any, loading.initial_pressure)))
+
+
+def _trial(membrane: Membrane, state: State, grid: Grid) -> Shape:
+    """The shape of an equilibrium on a grid, nearly."""
+    own = profile(membrane, state)
+    radius = np.sqrt(grid.s)
+    a = np.interp(radius, own.radius, own.stretch_2)
+    rise = np.interp(radius, own.radius, own.stretch_1 * np.sin(own.theta))
+    coefficients = np.linalg.lstsq(grid.functions[0], a - float(membrane.prestretch), rcond=None)[0]
+    return Shape(coefficients, rise / (2 * radius), float(state.pressure), 0.0)
+
+
+def _begun(setting: Setting, start: str, values: dict) -> Asking[tuple[Setting, Now]]:
+    """Where a run starts: relaxed, the branches carry nothing; fresh, the dashpots have not moved yet."""
+    branches = spring_and_branches(setting.membrane.material)[1]
+    elastic = at_start(setting.membrane, start)
+    state = _start_state(setting.scene, elastic, {n: v for n, v in values.items() if n != "voltage"})
+    # a flat film has no volume that depends on its pressure
+    given = "pressure" if state.pressure == 0 else "volume"
+    held = {"voltage": Linear(0.0, 0.0, 0.0), given: Linear(float(getattr(state, given)), 0.0, 0.0)}
+    x = np.zeros((len(branches), 2, len(setting.grid.s)))
+    balance = setting.balance(held, flows=False, kappa=0.0)
+    if start == "relaxed":
+        balance = dataclasses.replace(balance, branches=())
+    trial = _trial(elastic, state, setting.grid)
+    shape, logs, good = yield Request("settle", setting.mesh, (balance, trial, x[: len(balance.branches)], 0.0))
+    if not good:
+        raise SceneError(Code.not_converged)
+    condition = _condition(setting.scene, float(shape.pressure), state.volume)
+    x = np.broadcast_to(logs, x.shape).copy() if start == "relaxed" else x
+    return setting._replace(condition=condition), Now(shape, x)
+
+
+def _condition(scene: Scene | Membrane, pressure: float, volume: float) -> LoadingCondition:
+    """The condition of the loading, with the filling of a chamber at the start."""
+    loading = mechanical(scene.loading) if isinstance(scene, Scene) else ConstantPressure(pressure)
+    return jax.tree.map(float, loading.condition(*((pressure, volume) if isinstance(loading, Chamber) else ())))
+
+
+class _Phase(typing.NamedTuple):
+    """A part of a run with smooth courses of what is prescribed, from m = `begin` to `end`; in a "leap" m is no time.
+
+    `falls` says whether what drives the run is held after it has leapt down.
+    """
+
+    kind: str
+    courses: dict
+    begin: float
+    end: float
+    falls: bool = False
+
+
+def _phases(legs: dict[str, list[Leg]], driven: str) -> list[_Phase]:
+    """The legs in which every quantity has one course, and before each the leap to its first values."""
+    last = min(own[-1].end for own in legs.values())
+    ends = sorted({leg.end for own in legs.values() for leg in own if leg.end <= last})
+    found: list[_Phase] = []
+    values, begin = {n: 0.0 if n == "voltage" else own[0].at(0.0) for n, own in legs.items()}, 0.0
+    for end in ends:
+        courses = {n: next(leg.course for leg in own if leg.end >= end) for n, own in legs.items()}
+        target = {n: float(c(begin)) for n, c in courses.items()}
+        if target != values:
+            leaps = {n: Linear(values[n], target[n] - values[n], 0.0) for n in target}
+            found.append(_Phase("leap", leaps, 0.0, 1.0))
+        still = all(isinstance(c, Linear) and not c.rate for c in courses.values())
+        falls = abs(target[driven]) < abs(values[driven])
+        found.append(_Phase("hold" if still else "flow", courses, begin, end, falls))
+        values = {n: float(c(end)) for n, c in courses.items()} if math.isfinite(end) else target
+        begin = end
+    return found
+
+
+def _scale(setting: Setting, phase: _Phase, moment: float) -> tuple[float, float]:
+    """κ of a phase, and its unit of σ: the time in which something changes, by the way in which the volume goes."""
+    name = setting.driven
+    course = phase.courses[name]
+    value = float(course(moment))
+    if phase.kind == "leap":
+        return math.copysign(LEAP_SCALE, abs(float(course(1.0))) - abs(float(course(0.0)))), LEAP_SCALE
+    rate = float(course.rate) if isinstance(course, Linear) else float(jax.grad(course)(moment))
+    if not rate:
+        times = [float(b.relaxation_time) for b in spring_and_branches(setting.membrane.material)[1]]
+        unit = max(times, default=1.0) / 2
+        return (-unit if phase.falls else unit), unit
+    unit = (LOAD_SCALE if name == "voltage" else LEAP_SCALE) / abs(rate)
+    return math.copysign(unit, rate * (value or rate) if name == "voltage" else rate), unit
+
+
+def _jumped(setting: Setting, now: Now, phase: _Phase, moment: float) -> Asking[Passed]:
+    """From an instantaneous fold to the state at the same voltage (or pressure) and dashpots on which the jump lands."""
+    driver = "pressure" if setting.driven == "pressure" else "voltage"
+    level = float(phase.courses[driver](moment)) ** (2 if driver == "voltage" else 1)
+    frozen = {name: Linear(float(course(moment)), 0.0, 0.0) for name, course in phase.courses.items()}
+    frozen[driver] = Linear(0.0, float(driver == "pressure"), 0.0)
+    start = Now(now.shape._replace(moment=level), now.x)
+    return (yield from passed(setting, start, setting.free(frozen, driver), level, "jump", VOLUME_SCALE))
+
+
+def _snapped(setting: Setting, now: Now, phase: _Phase, at: tuple[float, float], seen: Seen, jumps: int) -> Asking[str]:
+    """Notes an instantaneous fold at (m, time) and jumps from it; why the run ends there, or nothing where it goes on."""
+    moment, time = at
+    now.events.append(event_of("instantaneous_fold", seen, time))
+    if setting.driven == "volume":
+        return "fold at a prescribed volume"
+    if jumps > MOST_JUMPS:
+        return "too many jumps"
+    landed = yield from _jumped(setting, now, phase, moment)
+    if landed.event != "end":
+        return "landing not found"
+    now.events.append(event_of("landing", landed.seen, time))
+    now.shape = landed.instant.shape
+    if landed.seen.breakdown_ratio >= 1:
+        now.events.append(event_of("breakdown", landed.seen, time))
+        return "breakdown in the snap"
+    if landed.seen.hoop_tension <= 0:
+        now.events.append(event_of("hoop_tension_loss", landed.seen, time))
+        return "hoop tension lost"
+    return ""
+
+
+def _followed(setting: Setting, legs: dict, start: str) -> Asking[Run]:
+    """A run, as a generator of requests."""
+    setting, now = yield from _begun(setting, start, {n: own[0].at(0.0) for n, own in legs.items()})
+    time, jumps, seen, reason = 0.0, 0, None, ""
+    for phase in _phases(legs, setting.driven):
+        moment = phase.begin
+        while True:
+            kappa, unit = _scale(setting, phase, moment)
+            balance = setting.balance(phase.courses, flows=phase.kind != "leap", kappa=kappa)
+            now.shape = now.shape._replace(moment=moment)
+            found = yield from passed(setting, now, balance, phase.end, phase.kind, unit)
+            if not now.rows:
+                now.events.append(event_of("start", found.rows[0], 0.0))
+            now.rows += [(time if phase.kind == "leap" else float(r.time), phase.kind, r) for r in found.rows]
+            now.shape, now.x, seen = found.instant.shape, found.instant.x, found.seen
+            moment = float(found.instant.shape.moment)
+            time = time if phase.kind == "leap" else moment
+            if found.event != "fold":
+                break
+            jumps += 1
+            reason = yield from _snapped(setting, now, phase, (moment, time), seen, jumps)
+            if reason:
+                return _run(setting, now, seen, time, reason)
+        reason = _REASONS[found.event]
+        if found.event in ("breakdown", "hoop_tension_loss"):
+            now.events.append(event_of(found.event, seen, time))
+        if found.event != "end":
+            break
+    return _run(setting, now, seen, time, reason)
+
+
+def _run(setting: Setting, now: Now, seen: Seen | None, time: float, reason: str) -> Run:
+    assert seen is not None
+    order = {"start": 0, "end": 2}
+    events = sorted(now.events, key=lambda e: (order.get(e.kind, 1), e.time))
+    end = event_of("end", seen, time, reason)
+    if events[-1].kind in ("landing", "breakdown", "hoop_tension_loss"):
+        end = dataclasses.replace(events[-1], kind="end", reason=reason)
+    return Run(setting.scene, (*events, end), dataset_of(now.rows), max(now.defects, default=0.0), setting.again)
+
+
+def _frozen(setting: Setting, start: str) -> Asking[Run]:
+    """The equilibria with the dashpots where they are at the start, by rising volume, up to breakdown or the loss of hoop tension."""
+    setting, now = yield from _begun(setting, start, {})
+    balance = setting.free({"voltage": Linear(0.0, 0.0, 0.0)}, "voltage")
+    found = yield from passed(setting, now, balance, math.inf, "frozen", VOLUME_SCALE)
+    now.events.insert(0, event_of("start", found.rows[0], 0.0))
+    now.rows += [(0.0, "leap", row) for row in found.rows]
+    return _run(setting, now, found.seen, 0.0, _REASONS[found.event])
+
+
+def follow(
+    scene: Scene | Membrane | Sequence[Scene | Membrane],
+    *,
+    voltage: typing.Any = 0.0,
+    volume: typing.Any = None,
+    pressure: typing.Any = None,
+    start: str = "relaxed",
+    tolerance: float = 1e-6,
+) -> typing.Any:
+    """Follows a viscoelastic membrane in time, balanced at every instant, from its state at zero voltage.
+
+    Args:
+        scene: the scene, or the membrane alone where its volume or pressure is prescribed; or a sequence, followed side by side.
+        voltage: a `Ramp`, `Hold`, `Steps`, `Triangle`, a function of time written with jax.numpy, or a number that is held; or a
+            sequence of these, one a scene. Where it changes at once the dashpots are stuck meanwhile.
+        volume: likewise, in place of the scene's loading; the pressure is what the membrane needs.
+        pressure: likewise, in place of the scene's loading.
+        start: "relaxed" after a long wait at the start, the branches carry nothing; "fresh", just stretched, the dashpots have not moved.
+        tolerance: about the relative error of events.
+
+    Returns:
+        A `Run`, or a list of them. At an instantaneous fold the film jumps at stuck dashpots; a jump is an event with its landing,
+        never silent. A run ends with a reason: "end of the protocol", "at rest", "breakdown on the branch", "breakdown in the snap",
+        "hoop tension lost", "landing not found", "not converged" and others that say what could not be followed.
+
+    Raises:
+        ValueError: for bad input.
+        SceneError: where there is no start.
+
+    >>> from dielectric_jax.model import Chamber, Gent, Maxwell, Viscoelastic
+    >>> rubber = Viscoelastic(Gent(270.0), [Maxwell(Gent(270.0), modulus_ratio=1.0, relaxation_time=1.0)])
+    >>> scene = Scene(Membrane(rubber), ConstantPressure(1.82))
+    >>> run = follow(scene, voltage=Ramp(rate=0.01))
+    >>> run.snap.kind, round(run.snap.at.voltage, 6), run.reason
+    ('jump', 0.183281, 'breakdown in the snap')
+    """
+    if start not in _STARTS:
+        raise ValueError(f'`start` must be "relaxed" or "fresh", but is {start!r}.')
+    check_between("tolerance", tolerance, 1e-10, 1e-2)
+    protocols = {n: p for n, p in (("voltage", voltage), ("volume", volume), ("pressure", pressure)) if p is not None}
+    if "volume" in protocols and "pressure" in protocols:
+        raise ValueError("`volume` or `pressure` must be given, at most one of the two, but both are.")
+    one = isinstance(scene, (Scene, Membrane))
+    scenes = [scene] if one else list(typing.cast(Sequence, scene))
+    given = []
+    for name, own in protocols.items():
+        many = isinstance(own, (list, tuple))
+        if many and len(own) != len(scenes):
+            raise ValueError(f"`{name}` must be one protocol, or one a scene, {len(scenes)}, but are {len(own)}.")
+        given.append([(name, legs_of(name, p)) for p in (own if many else [own] * len(scenes))])
+    for own in scenes:
+        if not isinstance(own, (Scene, Membrane)):
+            raise ValueError(f"`scene` must be a Scene, a Membrane or a sequence of them, but is {shown(own)}.")
+    runs = [
+        _run_of(s, dict(legs), start, MESHES[0], tolerance)
+        for s, legs in zip(scenes, zip(*given, strict=True), strict=True)
+    ]
+    found = serve(runs)
+    return found[0] if one else found
+
+
+def _run_of(scene, legs: dict, start: str, mesh: tuple[int, int], tolerance: float) -> Asking[Run]:
+    """The generator of one run."""
+
+    def again() -> Run:
+        return serve([_run_of(scene, legs, start, MESHES[1], tolerance / 30)])[0]
+
+    return _followed(_setting(scene, legs, mesh, TOLERANCE_SHARE * tolerance ** (2 / 3), again), legs, start)
+
+
+def _setting(scene, legs: dict, mesh: tuple[int, int], tolerance: float, again) -> Setting:
+    membrane = scene.membrane if isinstance(scene, Scene) else scene
+    driven = next((n for n in ("volume", "pressure") if n in legs), "voltage")
+    return Setting(scene, membrane, _condition(membrane, 1.0, 1.0), driven, mesh, tolerance, again)
+
+
+def bounds(scene: Scene, *, start: str = "relaxed") -> tuple[Diagram, Run]:
+    """The two limits of a ramp of the voltage: infinitely slow, the diagram at rest, and infinitely fast, at stuck dashpots.
+
+    The first is `voltage_volume` of the equilibrium spring. The second is a `Run` by rising volume at time 0, whose voltages are those of
+    equilibria with the dashpots where they are at the start; its events "instantaneous_fold" are where an infinitely fast ramp snaps.
+    Raises ValueError for bad input, and SceneError where there is no start.
+
+    >>> from dielectric_jax.model import Gent, Maxwell, Viscoelastic
+    >>> rubber = Viscoelastic(Gent(270.0), [Maxwell(Gent(270.0), modulus_ratio=1.0, relaxation_time=1.0)])
+    >>> slow, fast = bounds(Scene(Membrane(rubber), ConstantPressure(1.82)))
+    >>> round(slow.ramp()["snap"][0].state.voltage, 6), round(fast.event("instantaneous_fold").voltage, 6)
+    (0.114568, 0.281641)
+    """
+    if not isinstance(scene, Scene):
+        raise ValueError(f"`scene` must be a Scene, but is a {type(scene).__name__}.")
+    if start not in _STARTS:
+        raise ValueError(f'`start` must be "relaxed" or "fresh", but is {start!r}.')
+
+    def again() -> Run:
+        return serve([_frozen(_setting(scene, {}, MESHES[1], LANDING_TOLERANCE / 30, again), start)])[0]
+
+    fast = serve([_frozen(_setting(scene, {}, MESHES[0], LANDING_TOLERANCE, again), start)])[0]
+    return voltage_volume(at_rest(scene)), fast

@@ -1,0 +1,160 @@
+"""How a voltage, a volume or a pressure is prescribed in time."""
+
+import abc
+import math
+import typing
+from collections.abc import Callable, Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from ..numerics import check_between, shown
+
+__all__ = ["AbstractProtocol", "Hold", "Leg", "Ramp", "Steps", "Triangle", "legs_of"]
+
+
+class Linear(eqx.Module):
+    """value + rate (m − origin)."""
+
+    value: typing.Any
+    rate: typing.Any
+    origin: typing.Any
+
+    def __call__(self, moment):
+        return self.value + self.rate * (moment - self.origin)
+
+
+class Given(eqx.Module):
+    """A user's function of time, written with jax.numpy."""
+
+    function: Callable = eqx.field(static=True)
+
+    def __call__(self, moment):
+        return jnp.asarray(self.function(moment), float)
+
+
+class Leg(typing.NamedTuple):
+    """A stretch of time from `begin` to `end` in which a quantity follows a smooth `course`."""
+
+    begin: float
+    end: float
+    course: Linear | Given
+
+    def at(self, time: float) -> float:
+        """The value at a time."""
+        return float(self.course(time))
+
+
+def _number(name: str, value, low=-math.inf, high=math.inf) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise ValueError(f"`{name}` must be a number, but is {shown(value)}.") from None
+    if not (math.isfinite(number) or number == high):
+        raise ValueError(f"`{name}` must be finite, but is {number!r}.")
+    check_between(name, number, low, high)
+    return number
+
+
+class AbstractProtocol(abc.ABC):
+    """A course in time, by its legs; a value may jump from one leg to the next."""
+
+    @abc.abstractmethod
+    def legs(self) -> list[Leg]:
+        """The legs, from time 0."""
+
+
+class Ramp(AbstractProtocol):
+    """`start` + `rate` t, until `stop` is reached; without `stop` until something happens.
+
+    >>> Ramp(rate=0.01).legs()[0].at(3.0)
+    0.03
+    """
+
+    def __init__(self, rate: float, start: float = 0.0, stop: float | None = None):
+        self.rate, self.start = _number("rate", rate), _number("start", start)
+        if self.rate == 0:
+            raise ValueError("`rate` must not be zero (that is a Hold), but is 0.0.")
+        self.stop = None if stop is None else _number("stop", stop)
+        if self.stop is not None and not (self.stop - self.start) * self.rate > 0:
+            raise ValueError(f"`stop` must lie ahead of the start {self.start!r}, but is {self.stop!r}.")
+
+    def legs(self):
+        """One leg."""
+        end = math.inf if self.stop is None else (self.stop - self.start) / self.rate
+        return [Leg(0.0, end, Linear(self.start, self.rate, 0.0))]
+
+
+class Steps(AbstractProtocol):
+    """Values, each held for a time: pairs (value, duration).
+
+    >>> [leg.at(leg.begin) for leg in Steps([(0.1, 5.0), (0.0, 20.0)]).legs()]
+    [0.1, 0.0]
+    """
+
+    def __init__(self, steps: Sequence[tuple[float, float]]):
+        self.steps = [(_number("value", v), _number("duration", d, 0.0)) for v, d in steps]
+        if not self.steps:
+            raise ValueError("`steps` must hold at least one pair (value, duration), but is empty.")
+
+    def legs(self):
+        """One leg a value."""
+        ends = np.cumsum([d for _, d in self.steps])
+        begins = [0.0, *ends[:-1]]
+        return [
+            Leg(float(b), float(e), Linear(v, 0.0, float(b)))
+            for (v, _), b, e in zip(self.steps, begins, ends, strict=True)
+        ]
+
+
+class Hold(AbstractProtocol):
+    """One value from time 0 on, for a `duration`; without it until nothing moves any more.
+
+    >>> Hold(0.12, duration=100.0).legs()[0].end
+    100.0
+    """
+
+    def __init__(self, value: float, duration: float | None = None):
+        self.value = _number("value", value)
+        self.duration = math.inf if duration is None else _number("duration", duration, 0.0)
+
+    def legs(self):
+        """One leg."""
+        return [Leg(0.0, self.duration, Linear(self.value, 0.0, 0.0))]
+
+
+class Triangle(AbstractProtocol):
+    """From `start` to `turn` and back to `stop`, all at the speed `rate`.
+
+    >>> [leg.end for leg in Triangle(0.5, 8.0, 4.0, rate=0.5).legs()]
+    [15.0, 23.0]
+    """
+
+    def __init__(self, start: float, turn: float, stop: float, *, rate: float):
+        self.corners = tuple(_number(n, v) for n, v in (("start", start), ("turn", turn), ("stop", stop)))
+        self.rate = _number("rate", rate, 0.0)
+        if self.corners[0] == self.corners[1] or self.corners[1] == self.corners[2] or self.rate == 0:
+            raise ValueError(f"`turn` must differ from start and stop, at a positive `rate`, but is {turn!r}.")
+
+    def legs(self):
+        """Two legs."""
+        first, turn, last = self.corners
+        middle, end = abs(turn - first) / self.rate, (abs(turn - first) + abs(last - turn)) / self.rate
+        return [
+            Leg(0.0, middle, Linear(first, math.copysign(self.rate, turn - first), 0.0)),
+            Leg(middle, end, Linear(turn, math.copysign(self.rate, last - turn), middle)),
+        ]
+
+
+def legs_of(name: str, protocol) -> list[Leg]:
+    """The legs of a protocol, of a function of time, or of a number that is held."""
+    if isinstance(protocol, AbstractProtocol):
+        return protocol.legs()
+    if callable(protocol):
+        return [Leg(0.0, math.inf, Given(protocol))]
+    if isinstance(protocol, (int, float, np.number)):
+        return Hold(float(protocol)).legs()
+    raise ValueError(
+        f"`{name}` must be a Ramp, Hold, Steps, Triangle, a function of time or a number, but is {shown(protocol)}."
+    )

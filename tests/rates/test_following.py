@@ -1,0 +1,175 @@
+"""Membranes in time against reference numbers of other methods, exact limits, and closed forms."""
+
+import json
+import pathlib
+
+import numpy as np
+import pytest
+
+import dielectric_jax as dj
+from dielectric_jax import rates
+from dielectric_jax.model import Maxwell, Viscoelastic
+
+REFERENCE = json.loads((pathlib.Path(__file__).parents[1] / "data" / "rates.json").read_text(encoding="utf-8"))
+FILMS = {
+    "M1": Viscoelastic(dj.Gent(270.0), [Maxwell(dj.Gent(270.0), 1.0, 1.0)]),
+    "M2": Viscoelastic(dj.Gent(110.0), [Maxwell(dj.Gent(55.0), 42 / 18, 1.0)]),
+    "M3": Viscoelastic(dj.Gent(270.0), [Maxwell(dj.Gent(270.0), 0.6, 0.1), Maxwell(dj.Gent(270.0), 0.4, 10.0)]),
+    "M4": Viscoelastic(dj.Gent(270.0), [Maxwell(dj.Gent(270.0), 0.1, 1.0)]),
+    "M5": Viscoelastic(dj.Gent(200.0), [Maxwell(dj.Gent(120.0), 0.5, 1.0)]),
+}
+
+
+def scene_of(given: dict) -> dj.Scene | dj.Membrane:
+    membrane = dj.Membrane(FILMS[given["material"]])
+    if given.get("chamber_volume"):
+        return dj.Scene(membrane, dj.Chamber(volume=given["chamber_volume"], initial_volume=given["initial_volume"]))
+    return dj.Scene(membrane, dj.ConstantPressure(given["pressure"])) if given.get("pressure") else membrane
+
+
+def items(kind: str) -> list[dict]:
+    return [item for item in REFERENCE["items"] if item["kind"] == kind]
+
+
+def check(found: float, known: dict) -> None:
+    """A number to the digits of its reference less one, 3e-7 at best."""
+    assert found == pytest.approx(known["value"], rel=max(10 ** (1 - known["digits"]), 3e-7))
+
+
+def check_event(event, known: dict) -> None:
+    for name in ("voltage", "volume", "pressure", "apex_stretch"):
+        if name in known:
+            check(getattr(event, name), known[name])
+
+
+@pytest.fixture(scope="module")
+def ramps():
+    """All ramps of the reference, followed side by side."""
+    given = items("ramp")
+    protocols = [rates.Ramp(rate=item["scene"]["rate"]) for item in given]
+    return list(
+        zip(given, rates.follow([scene_of(i["scene"]) for i in given], voltage=protocols, tolerance=1e-8), strict=True)
+    )
+
+
+def test_ramps(ramps):
+    """Instantaneous folds and landings at stuck dashpots, or the fastest point of a creep-through."""
+    for item, run in ramps:
+        known = item["result"]
+        if "fold" in known:
+            assert run.snap.kind == "jump"
+            check_event(run.snap.at, known["fold"])
+        else:
+            assert run.snap.kind == "creep_through"
+            check_event(run.snap.at, {k: known["fastest"][k] for k in ("voltage", "volume")})
+        if "landing_frozen" in known:
+            check_event(run.snap.landing, known["landing_frozen"])
+
+
+def test_energy_is_balanced(ramps):
+    """ΔU = ∫ p dV − ∫ Q dΦ − ∫ D dt, by the quadrature of the stages."""
+    assert max(run.energy_defect for _, run in ramps) < 1e-6
+
+
+def test_held_voltages():
+    """The delay of the snap, and the volume at once after the voltage is applied."""
+    given = items("hold")
+    held = [rates.Hold(item["scene"]["voltage"]) for item in given]
+    for item, run in zip(
+        given, rates.follow([scene_of(i["scene"]) for i in given], voltage=held, tolerance=1e-8), strict=True
+    ):
+        check(run.snap.at.time, item["result"]["delay"])
+        check(run.snap.at.volume, item["result"]["fold_volume"])
+        leap = run.dataset.where(run.dataset.phase == "leap", drop=True)
+        check(float(leap.volume[-1]), item["result"]["V_after_step"])
+
+
+def test_loops():
+    """Pressure against a volume that rises and falls, at several rates."""
+    given = [item for item in items("loop") if item["scene"]["material"] != "M3"]
+    loops = [rates.Triangle(0.5, 8.0, 4.0, rate=item["scene"]["rate"]) for item in given]
+    for item, run in zip(
+        given, rates.follow([scene_of(i["scene"]) for i in given], volume=loops, tolerance=1e-9), strict=True
+    ):
+        known, data = item["result"], run.dataset
+        check(run.event("peak_pressure").pressure, known["peak_pressure"])
+        check(float(data.pressure[int(np.argmax(data.volume.values))]), known["pressure_at_turn"])
+        check(run.events[-1].pressure, known["pressure_at_end"])
+        assert run.reason == "end of the protocol"
+
+
+@pytest.mark.parametrize("item", items("limits")[:2], ids=lambda i: str(i["scene"]))
+def test_bounds(item):
+    """The fold at rest, and that at stuck dashpots."""
+    slow, fast = rates.bounds(scene_of(item["scene"]))
+    assert slow.ramp()["snap"][0].state.voltage == pytest.approx(
+        item["result"]["equilibrium_fold"]["phi"]["value"], rel=1e-9
+    )
+    check_event(fast.event("instantaneous_fold"), item["result"]["instantaneous_fold"])
+
+
+def test_a_fresh_film_is_a_stiffer_one():
+    """With equal limits a film whose dashpots have not moved is the elastic one with p and q multiplied by 1 + Σ g."""
+    membrane = dj.Membrane(FILMS["M1"])
+    _, fast = rates.bounds(dj.Scene(membrane, dj.ConstantPressure(2 * 1.82)), start="fresh")
+    elastic = dj.Scene(dj.Membrane(dj.Gent(270.0)), dj.ConstantPressure(1.82))
+    assert fast.event("instantaneous_fold").voltage == pytest.approx(
+        np.sqrt(2) * float(dj.snap_voltage(elastic)), rel=1e-10
+    )
+
+
+def test_an_elastic_film_knows_no_rate():
+    """Without branches the ramp is that of the diagram, at any rate."""
+    elastic = dj.Scene(dj.Membrane(dj.Gent(270.0)), dj.Chamber(volume=1600.0, initial_volume=2.42))
+    run = rates.follow(elastic, voltage=rates.Ramp(rate=0.3), tolerance=1e-8)
+    ramp = dj.voltage_volume(elastic).ramp()
+    assert [e.kind for e in run.events] == ["start", "instantaneous_fold", "landing", "breakdown", "end"]
+    for kind, mine in (("snap", "instantaneous_fold"), ("landing", "landing")):
+        state = ramp[kind][0].state
+        assert run.event(mine).voltage == pytest.approx(state.voltage, rel=1e-10)
+        assert run.event(mine).volume == pytest.approx(state.volume, rel=1e-9)
+
+
+def test_a_flat_film_goes_slack():
+    """A fresh film, flat and prestretched, relaxes by a quadrature until its tension is that of the voltage."""
+    strong = dj.Membrane(FILMS["M1"], 2.0, dj.ConstantBreakdown(100.0))
+    flat = dj.Scene(strong, dj.ConstantPressure(0.0))
+    run = rates.follow(flat, voltage=rates.Hold(0.58187184221641), start="fresh", tolerance=1e-9)
+    assert run.reason == "hoop tension lost"
+    assert run.events[-1].time == pytest.approx(1.062755884237999, rel=1e-8)
+
+
+def test_error_estimates():
+    """The estimate is from another mesh and tolerance; the true error of the fold is within ten times of it."""
+    item = next(i for i in items("ramp") if i["scene"] == {"material": "M1", "pressure": 1.82, "rate": 0.01})
+    run = rates.follow(scene_of(item["scene"]), voltage=rates.Ramp(rate=0.01), tolerance=1e-5)
+    true = abs(run.snap.at.voltage / item["result"]["fold"]["voltage"]["value"] - 1)
+    assert true <= 10 * run.error_estimate < 1e-3
+
+
+def test_bad_input():
+    scene = scene_of({"material": "M1", "pressure": 1.82})
+    for words, call in (
+        ("`rate` must not be zero", lambda: rates.Ramp(rate=0.0)),
+        ("`start` must be", lambda: rates.follow(scene, voltage=0.1, start="wet")),
+        ("`voltage` must be a Ramp", lambda: rates.follow(scene, voltage="high")),
+        ("`volume` or `pressure` must be given, at most one", lambda: rates.follow(scene, volume=1.0, pressure=1.0)),
+        ("`scene` must be a Scene unless", lambda: rates.follow(scene.membrane, voltage=0.1)),
+        ("`voltage` must be one protocol, or one a scene", lambda: rates.follow([scene], voltage=[0.1, 0.2])),
+        ("`relaxation_time` must be positive", lambda: Maxwell(dj.Gent(), 1.0, 0.0)),
+        ("`branches` must be Maxwell branches", lambda: Viscoelastic(dj.Gent(), [dj.Gent()])),
+    ):
+        with pytest.raises(ValueError, match=words):
+            call()
+
+
+def test_parameters_of_a_viscoelastic_scene():
+    """The spring's constants are parameters of the scene, and a description names the branches."""
+    scene = scene_of({"material": "M5", "chamber_volume": 4000.0, "initial_volume": 2.2})
+    stiffer = scene.replace(stretch_limit=150.0, chamber_volume=1600.0)
+    assert float(stiffer.membrane.material.equilibrium.stretch_limit) == 150.0
+    said = dj.model.describe(stiffer)
+    assert (said["material"], said["elastic"], said["stretch_limit"]) == ("viscoelastic", "gent", 150.0)
+    assert said["branches"] == [
+        {"material": "gent", "stretch_limit": 120.0, "modulus_ratio": 0.5, "relaxation_time": 1.0}
+    ]
