@@ -1,5 +1,4 @@
-from . import apps, critical, design, diagram, model, modes, numerics, plot, surface, sweeps
-from .apps import explore, reproduce
+from . import apps, critical, design, diagram, model, modes, numerics, plot, rates, surface, sweeps
 from .critical import area_strain, fold_curves, snap_point, snap_voltage
 from .design import calibrate, classify_designs, maximise, maximise_area_strain, regime_map
 from .diagram import (
@@ -22,6 +21,7 @@ from .model import (
     CustomMaterial,
     Electrostrictive,
     Gent,
+    Maxwell,
     Membrane,
     MooneyRivlin,
     NeoHookean,
@@ -31,13 +31,14 @@ from .model import (
     Scene,
     Units,
     VHBBreakdown,
+    Viscoelastic,
     profile,
-    stability_of,
 )
 from .modes import mode_spectrum
-from .numerics import Code, SceneError, enable_compilation_cache
+from .numerics import SceneError, enable_compilation_cache
+from .rates import Hold, Ramp, Steps, Triangle, bounds, follow
 from .surface import Surface
-from .sweeps import open_sweep, sweep
+from .sweeps import sweep
 
 __version__: str
 __all__ = [
@@ -45,26 +46,32 @@ __all__ = [
     "ArrudaBoyce",
     "Chamber",
     "ChargeControl",
-    "Code",
     "ConstantBreakdown",
     "ConstantPressure",
     "ConstantVoltage",
     "CustomMaterial",
     "Electrostrictive",
     "Gent",
+    "Hold",
+    "Maxwell",
     "Membrane",
     "MooneyRivlin",
     "NeoHookean",
     "Ogden",
     "PrescribedVolume",
+    "Ramp",
     "Regime",
     "Scene",
     "SceneError",
+    "Steps",
     "Surface",
+    "Triangle",
     "Units",
     "VHBBreakdown",
+    "Viscoelastic",
     "apps",
     "area_strain",
+    "bounds",
     "calibrate",
     "classify_designs",
     "continue_scenes",
@@ -73,8 +80,8 @@ __all__ = [
     "diagram",
     "enable_compilation_cache",
     "equilibrium",
-    "explore",
     "fold_curves",
+    "follow",
     "glance",
     "maximise",
     "maximise_area_strain",
@@ -83,16 +90,14 @@ __all__ = [
     "modes",
     "neutral_modes",
     "numerics",
-    "open_sweep",
     "plot",
     "pressure_volume",
     "profile",
+    "rates",
     "regime_map",
     "regime_of",
-    "reproduce",
     "snap_point",
     "snap_voltage",
-    "stability_of",
     "surface",
     "sweep",
     "sweeps",

@@ -20,8 +20,9 @@ import dielectric_jax as dj
 from benchmarks import harness
 from benchmarks.truth import contours as contour_truth
 from benchmarks.truth import extended_precision as truth
-from dielectric_jax import Code, SceneError
+from dielectric_jax import SceneError
 from dielectric_jax.model import Outcome
+from dielectric_jax.numerics import Code
 
 jax.config.update("jax_enable_x64", True)
 

@@ -97,7 +97,7 @@ def turning(scene, random):
 
 def states(scene, random):
     state = dj.equilibrium(scene.membrane, voltage=0.02, pressure=uniform(random, 0.2, 1.0))
-    dj.stability_of(scene.membrane, state)
+    dj.model.stability_of(scene.membrane, state)
     dj.profile(scene.membrane, state)
     dj.equilibrium(scene.membrane, voltage=0.02, volume=1.0, all=True)
 

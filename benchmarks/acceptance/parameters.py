@@ -135,7 +135,7 @@ def limits_of(scene: dj.Scene, name: str) -> tuple[float, float]:
     if not scene.has(name):
         return 1.5, 2.5
     value = value_of(scene, name)
-    value = {"initial_volume": 2.3, "initial_pressure": 1.6}[name] if value is None else value
+    value = {"initial_volume": 2.3, "initial_pressure": 1.5}[name] if value is None else value
     low, high = sorted(share * float(np.atleast_1d(value)[0]) for share in (0.97, 1.04))
     return (low, high) if math.isinf(parameter_of(name).least) else (max(low, parameter_of(name).least), high)
 

@@ -62,7 +62,7 @@ class Variable:
 _ANSWER_WORDS = {
     "outcome": "how the ramp up ends",
     "regime": "what a slow ramp of the voltage does: the way up, then the way down from the last landing",
-    "code": "why continuation ended or the scene has no answer, as in `dielectric_jax.Code`",
+    "code": "why continuation ended or the scene has no answer, as in `dielectric_jax.numerics.Code`",
     "answered_by": "which engine answered: the surface, batched continuation, or a whole diagram",
 }
 _FLAGS = {"outcome": Answer, "regime": Regime, "code": Code, "answered_by": Source}

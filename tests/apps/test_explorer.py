@@ -22,7 +22,7 @@ BREAKDOWNS = {1600.0: 0.100970094106, 800.0: 0.115172761046}
 
 @pytest.fixture(scope="module")
 def explorer():
-    return dj.explore(prestretches=(1.0, 2.0))
+    return dj.apps.explore(prestretches=(1.0, 2.0))
 
 
 @pytest.fixture
@@ -167,7 +167,7 @@ def test_a_glance_that_cannot_tell_the_filling_says_so(membrane, pressure):
     scene = dj.Scene(membrane, dj.Chamber(volume=1600.0, initial_pressure=pressure))
     with pytest.raises(dj.SceneError, match=r"The (surface does not tell|rows of the surface hold no state)") as told:
         dj.glance(scene, dj.Surface.build(membrane))
-    assert told.value.code is dj.Code.surface_edge
+    assert told.value.code is dj.numerics.Code.surface_edge
 
 
 def until_lost(pairs):
@@ -230,7 +230,7 @@ def test_units_are_those_of_the_scene():
     chamber = dj.Chamber(
         volume=units.to_si(1600.0, "volume"), initial_volume=units.to_si(2.42, "volume"), atmospheric_pressure=100e3
     )
-    seen = dj.explore(dj.Scene.from_si(membrane, chamber, units), prestretches=[1.0])
+    seen = dj.apps.explore(dj.Scene.from_si(membrane, chamber, units), prestretches=[1.0])
     assert "kV" in seen.axes.get_ylabel() and "ml" in seen.axes.get_xlabel()
     assert f"Φ = {0.0764953595449 * 32.88422182218:.4g} kV" in seen.message.value  # H = 1 mm, times 32.88 MV/m
 
@@ -264,10 +264,10 @@ def test_it_is_shown_by_its_widget(paper):
 )
 def test_refusals(given, words):
     with pytest.raises(ValueError, match=words):
-        dj.explore(**given)
+        dj.apps.explore(**given)
 
 
 def test_without_the_extra_one_sentence_names_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "ipywidgets", None)
     with pytest.raises(ImportError, match=r'`ipywidgets` must be installed .*"dielectric-jax\[interactive\]"'):
-        dj.explore()
+        dj.apps.explore()

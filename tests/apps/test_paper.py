@@ -119,7 +119,7 @@ def test_figures_that_are_not_computed(tmp_path, capsys, only, value):
     assert err.startswith("dielectric-jax: --only must be numbers of computed figures, 3, 5,") and value in err
     assert not list(tmp_path.iterdir())
     with pytest.raises(ValueError, match="`only` must be numbers"):
-        dj.reproduce(tmp_path, only)
+        dj.apps.reproduce(tmp_path, only)
 
 
 def test_a_folder_that_cannot_be(capsys):

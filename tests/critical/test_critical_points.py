@@ -119,11 +119,11 @@ def test_what_does_not_exist_is_said(scene, surface):
     with pytest.raises(dj.SceneError, match="no_fold"):
         dj.snap_voltage(none)
     point = dj.snap_point(none, throw=False)
-    assert np.isnan(point.voltage) and dj.Code(int(point.code)) is dj.Code.no_fold
+    assert np.isnan(point.voltage) and dj.numerics.Code(int(point.code)) is dj.numerics.Code.no_fold
     with pytest.raises(dj.SceneError, match="no_snap_back"):
         dj.critical.snap_back_voltage(scene)  # it stays in the snapped state
     other = dj.snap_point(scene.replace(prestretch=1.5), surface=surface, throw=False)
-    assert dj.Code(int(other.code)) is dj.Code.other_membrane
+    assert dj.numerics.Code(int(other.code)) is dj.numerics.Code.other_membrane
     with pytest.raises(ValueError, match="initial_volume"):
         dj.snap_voltage(scene.replace(initial_volume=900.0))
     wrong = jax.vmap(lambda v: dj.snap_voltage(scene.replace(chamber_volume=v), surface=surface))

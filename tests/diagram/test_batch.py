@@ -49,7 +49,7 @@ def test_every_eighth_chamber_of_the_references():
         }
     some = list(truth)[::8]
     batch = continue_scenes([chamber(v) for v in some])
-    assert (batch.code == dj.Code.breakdown).all()
+    assert (batch.code == dj.numerics.Code.breakdown).all()
     for i, volume in enumerate(some):
         of = {kind: [row[1:] for row in truth[volume] if row[0] == kind] for kind, _, _ in truth[volume]}
         folds = batch.ramps.folds
@@ -90,7 +90,7 @@ def test_lanes_do_not_disturb_each_other():
         chamber(1e9),
     ]
     together = continue_scenes(scenes)
-    assert [int(c) for c in together.code[[1, 3]]] == [dj.Code.no_equilibrium] * 2
+    assert [int(c) for c in together.code[[1, 3]]] == [dj.numerics.Code.no_equilibrium] * 2
     assert (together.ramps.outcome[[1, 3]] == Outcome.unresolved).all()
     assert np.isnan(together.ramps.start.volume[[1, 3]]).all() and np.isnan(together.branches[[1, 3]]).all()
     for i, scene in enumerate(scenes):
@@ -225,7 +225,7 @@ def test_points_are_put_where_they_belong():
 def test_a_line_that_goes_on_on_a_finer_grid_keeps_nothing_of_the_coarser():
     """Towards the cone a line is restarted on a finer grid: its points are in order, without gaps, and NaN after its end."""
     batch = continue_scenes([chamber(1000.0, 0.5), chamber(20.0, 1.0), chamber(1600.0)])
-    assert list(batch.code) == [dj.Code.apex_cone, dj.Code.apex_cone, dj.Code.breakdown]
+    assert list(batch.code) == [dj.numerics.Code.apex_cone, dj.numerics.Code.apex_cone, dj.numerics.Code.breakdown]
     for line in batch.branches:
         there = np.isfinite(line[:, 0])
         count = int(there.sum())

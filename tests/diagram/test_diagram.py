@@ -414,7 +414,7 @@ def test_flat_films(loading):
     json.dumps(found.to_json(), allow_nan=False)
     with pytest.raises(dj.SceneError) as refused:
         dj.voltage_volume(dj.Scene(dj.Membrane(prestretch=1.0), loading))
-    assert refused.value.code is dj.Code.flat_unstretched
+    assert refused.value.code is dj.numerics.Code.flat_unstretched
 
 
 def test_an_unstable_start_is_one_event():
@@ -456,7 +456,7 @@ def test_a_voltage_beyond_every_equilibrium_has_a_code():
     window = dj.model.Window(apex_stretch=(1.0, 5.0))
     with pytest.raises(dj.SceneError) as refused:
         dj.pressure_volume(dj.Membrane(), voltage=0.8, window=window)
-    assert refused.value.code is dj.Code.no_equilibrium
+    assert refused.value.code is dj.numerics.Code.no_equilibrium
 
 
 DOCUMENT = {
@@ -496,7 +496,7 @@ def test_json(diagram, name):
         )
         assert all(isinstance(i, int) for i in branch["index"])
         assert max(branch["error_estimate"]) <= 1e-9 and min(branch["error_estimate"]) >= 1e-13
-        assert {branch["start"], branch["end"]} <= {code.name for code in dj.Code}
+        assert {branch["start"], branch["end"]} <= {code.name for code in dj.numerics.Code}
     for point in document["special_points"]:
         assert set(point) >= set(POINT.split()) and point["kind"] in kinds
         assert (point["index"] is None) == (point["kind"] == "fold")
@@ -536,7 +536,7 @@ def test_the_wall_before_lock_up_is_followed(prestretch, limit, pressure):
     inflated = max(diagram.branches, key=lambda b: b.volume.max())
     # the branch reaches the lock-up or the loads that the scan leaves out
     fraction = inflated.voltage_squared[-1] / float(membrane.largest_load(inflated.apex_stretch[-1]))
-    assert inflated.end is dj.Code.lock_up or fraction > 0.9
+    assert inflated.end is dj.numerics.Code.lock_up or fraction > 0.9
     assert "end_lost" not in inflated.flags
     # every state belongs to the explicit map
     inside = (inflated.voltage_squared / np.asarray(membrane.largest_load(inflated.apex_stretch))) < 0.85
@@ -549,7 +549,7 @@ def test_the_wall_before_lock_up_is_followed(prestretch, limit, pressure):
 
 def test_flat_end_of_a_pressure_volume_curve(curve):
     branch = curve(0.0).branches[0]
-    assert branch.start is dj.Code.window_stretch and branch.end is dj.Code.lock_up
+    assert branch.start is dj.numerics.Code.window_stretch and branch.end is dj.numerics.Code.lock_up
     assert branch.volume[0] < 0.02 and (np.diff(branch.volume) > 0).all()
 
 
@@ -587,7 +587,7 @@ def test_small_voltages_shrink_everything_at_the_flat_end(curve, voltage):
     found = curve(voltage)
     assert found.complete and len(found.branches) == 1
     branch = found.branches[0]
-    assert branch.start is dj.Code.apex_cone and branch.end is dj.Code.lock_up
+    assert branch.start is dj.numerics.Code.apex_cone and branch.end is dj.numerics.Code.lock_up
     fraction = branch.voltage_squared[0] / (6 * (branch.apex_stretch[0] - 1))
     assert 0.88 < fraction < 1
 
@@ -597,7 +597,7 @@ def test_branches_with_states_whose_index_is_not_valid(monkeypatch):
     known = dict.fromkeys(("voltage_squared", "pressure", "volume", "apex_stretch", "height", "charge"), 1.0)
     states = [dj.model.State(**known, breakdown_ratio=1.0, index=index, error_estimate=1e-12) for index in (0, None, 2)]
     monkeypatch.setattr(diagrams, "states_of", lambda points, tolerance: states)
-    curve = types.SimpleNamespace(points=np.zeros(3), start=dj.Code.ok, end=dj.Code.ok, flags=())
+    curve = types.SimpleNamespace(points=np.zeros(3), start=dj.numerics.Code.ok, end=dj.numerics.Code.ok, flags=())
     branch = diagrams._branch(curve, 1e-9, 256, ())
     assert branch.index.tolist() == [0, -1, 2]
     assert branch.to_json()["index"] == [0, None, 2]

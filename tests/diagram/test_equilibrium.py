@@ -82,13 +82,13 @@ def test_flat_films():
         assert dj.equilibrium(dj.Membrane(prestretch=2.0), voltage=0.1, **given) == flat
     with pytest.raises(dj.SceneError) as error:
         dj.equilibrium(dj.Membrane(), pressure=0.0)
-    assert error.value.code is dj.Code.flat_unstretched
+    assert error.value.code is dj.numerics.Code.flat_unstretched
     # beyond q_max(λ0) = (λ0⁻² − λ0⁻⁸)/G the film is slack
     slack = math.sqrt((2**-2 - 2**-8) / (1 - (8 + 1 / 16 - 3) / 270))
     assert dj.equilibrium(dj.Membrane(prestretch=2.0), voltage=0.999999 * slack, volume=0.0).index == 0
     with pytest.raises(dj.SceneError) as error:
         dj.equilibrium(dj.Membrane(prestretch=2.0), voltage=1.000001 * slack, volume=0.0)
-    assert error.value.code is dj.Code.no_equilibrium
+    assert error.value.code is dj.numerics.Code.no_equilibrium
 
 
 @pytest.mark.parametrize("prestretch", [1.5, 2.7])
@@ -105,13 +105,13 @@ def test_small_pressures_give_the_linear_membrane_or_say_that_it_is_nearly_flat(
             try:
                 state = dj.equilibrium(dj.Membrane(prestretch=prestretch), **given)
                 assert state.volume / state.pressure == pytest.approx(linear / pressure, rel=max(1e-6, pressure**2))
-                codes.append(dj.Code.ok)
+                codes.append(dj.numerics.Code.ok)
             except dj.SceneError as error:
                 codes.append(error.code)
                 with pytest.raises(dj.SceneError) as same:
                     dj.voltage_volume(dj.Scene(dj.Membrane(prestretch=prestretch), loading))
-                assert same.value.code is dj.Code.near_flat
-    assert set(codes) <= {dj.Code.ok, dj.Code.near_flat} and codes[:6] == [dj.Code.ok] * 6
+                assert same.value.code is dj.numerics.Code.near_flat
+    assert set(codes) <= {dj.numerics.Code.ok, dj.numerics.Code.near_flat} and codes[:6] == [dj.numerics.Code.ok] * 6
 
 
 @pytest.mark.parametrize(
@@ -127,8 +127,8 @@ def test_small_pressures_give_the_linear_membrane_or_say_that_it_is_nearly_flat(
 def test_where_there_is_none_a_code_says_so(membrane, given):
     with pytest.raises(dj.SceneError) as error:
         dj.equilibrium(membrane, **given)
-    assert error.value.code is dj.Code.no_equilibrium
-    assert str(error.value).endswith(dj.Code.no_equilibrium.sentence)
+    assert error.value.code is dj.numerics.Code.no_equilibrium
+    assert str(error.value).endswith(dj.numerics.Code.no_equilibrium.sentence)
 
 
 @pytest.mark.parametrize(

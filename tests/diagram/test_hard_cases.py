@@ -7,8 +7,9 @@ import dielectric_jax as dj
 from benchmarks.acceptance import hard_cases
 from benchmarks.truth import contours as contour_truth
 from benchmarks.truth import extended_precision as truth
-from dielectric_jax import Code, SceneError
+from dielectric_jax import SceneError
 from dielectric_jax.model import Outcome
+from dielectric_jax.numerics import Code
 
 
 @pytest.mark.parametrize("number", hard_cases.CASES)

@@ -126,5 +126,5 @@ def test_a_start_held_by_a_stiff_chamber_and_a_fold_beyond_the_window():
     pressure = float(ramps.start.pressure[0])
     state = dj.equilibrium(film, volume=3.856810870609954)
     assert abs(state.pressure / pressure - 1) < 1e-9
-    assert dj.stability_of(dj.Scene(film, dj.ConstantPressure(pressure)), state).index == 1
-    assert dj.stability_of(dj.Scene(film, held), state).index == 0
+    assert dj.model.stability_of(dj.Scene(film, dj.ConstantPressure(pressure)), state).index == 1
+    assert dj.model.stability_of(dj.Scene(film, held), state).index == 0

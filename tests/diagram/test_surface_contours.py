@@ -77,7 +77,7 @@ def test_the_surface_alone(surface, chamber):
         assert a.voltage_squared == pytest.approx(b.voltage_squared, rel=1e-8, abs=1e-11)
         assert a.volume == pytest.approx(b.volume, rel=1e-8) and a.index == b.index
     (branch,) = found.branches
-    assert branch.start is branch.end is dj.Code.surface_edge
+    assert branch.start is branch.end is dj.numerics.Code.surface_edge
     # the diagram does not claim parts of the scanned window that it does not cover
     assert not found.complete
     assert found.area_strain == pytest.approx(expected.area_strain, rel=1e-8)

@@ -110,7 +110,7 @@ def test_axisymmetric_modes_agree_with_the_index_of_states(name):
     for loading in (None, dj.PrescribedVolume(1.0), *charged):
         what = film if loading is None else dj.Scene(film, loading)
         for state, spectrum in zip(states, dj.mode_spectrum(what, states, (0, 1, 2, 8)), strict=True):
-            assert spectrum.index[0] == dj.stability_of(what, state).index
+            assert spectrum.index[0] == dj.model.stability_of(what, state).index
             assert spectrum.error_estimate.max() < 1e-6
             if loading is None:
                 certified = [conjugate_points(film, state, n).index for n in (1, 2, 8)]

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 import dielectric_jax as dj
-from dielectric_jax import Code
 from dielectric_jax.diagram.tracing import run_trace
 from dielectric_jax.model import SCALE
-from dielectric_jax.numerics import Problem, Steps, advance, begin, shorter, stepped, trace
+from dielectric_jax.numerics import Code, Problem, Steps, advance, begin, shorter, stepped, trace
 
 ONES = np.ones(2)
 USUAL = Steps()

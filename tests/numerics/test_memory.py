@@ -41,7 +41,7 @@ def curves(share, _):
 def states(share, _):
     state = dj.equilibrium(film(share), voltage=0.05 + 0.001 * share, volume=2.42)
     dj.profile(film(share), state)
-    dj.stability_of(scene(share), state)
+    dj.model.stability_of(scene(share), state)
 
 
 def batches(share, count):

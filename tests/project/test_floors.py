@@ -21,6 +21,7 @@ FLOORS = {
     "sweeps": 5,
     "critical": 5,
     "design": 5,
+    "rates": 5,
     "apps": 6,
 }
 

@@ -184,7 +184,7 @@ def test_an_interrupt_leaves_a_store_to_resume(tmp_path):
     assert said.splitlines()[0].endswith("keeps what is finished, --resume continues.") and "Traceback" not in said
     import dielectric_jax as dj
 
-    assert 0 < dj.open_sweep(store).attrs["blocks_done"] < 1000
+    assert 0 < dj.sweeps.open_sweep(store).attrs["blocks_done"] < 1000
 
 
 def test_the_bar_counts_and_is_quiet_where_nobody_watches(capfd):

@@ -144,7 +144,7 @@ def test_a_second_writer_is_refused(undisturbed, tmp_path):
     with alone(store, wait=False):  # the lock of a killed process is free
         pass
     # reading needs no lock
-    assert dj.open_sweep(store).attrs["blocks_done"] == 4
+    assert dj.sweeps.open_sweep(store).attrs["blocks_done"] == 4
 
 
 def test_another_sweep_or_version_is_refused(undisturbed, tmp_path):
@@ -172,10 +172,10 @@ def test_another_sweep_or_version_is_refused(undisturbed, tmp_path):
 
 def test_no_store_is_refused_in_words(tmp_path):
     with pytest.raises(ValueError, match="`path` must hold the store of a sweep"):
-        dj.open_sweep(tmp_path)
+        dj.sweeps.open_sweep(tmp_path)
     (tmp_path / "file").write_text("no store")
     with pytest.raises(ValueError, match="`path` must hold the store of a sweep"):
-        dj.open_sweep(tmp_path / "file")
+        dj.sweeps.open_sweep(tmp_path / "file")
 
 
 def test_the_store_opens_without_this_package(undisturbed):
@@ -197,7 +197,7 @@ def test_what_is_read_is_what_memory_would_hold(undisturbed, tmp_path):
     """Also of an unfinished store, whose other scenes are not computed."""
     _, axes, given = dj.sweeps.read_specification(undisturbed[0])
     memory = dj.sweep(SCENE, *axes, **given)
-    stored = dj.open_sweep(undisturbed[1])
+    stored = dj.sweeps.open_sweep(undisturbed[1])
     for name in memory.variables:
         xr.testing.assert_identical(memory[name], stored[name].load())
     import zarr
@@ -208,10 +208,10 @@ def test_what_is_read_is_what_memory_would_hold(undisturbed, tmp_path):
     for name, array in group.arrays():
         if array.shape[:1] == (32,) and name not in memory.coords:
             array[16:24] = array.fill_value
-    data = dj.open_sweep(store)
+    data = dj.sweeps.open_sweep(store)
     assert data.attrs["blocks_done"] == 3
     assert (data.outcome[16:24] == -1).all() and data.breakdown_voltage[16:24].isnull().all()
     assert (data.outcome[:16] >= 0).all()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert dj.open_sweep(store, chunks={}).breakdown_voltage.chunks is not None
+        assert dj.sweeps.open_sweep(store, chunks={}).breakdown_voltage.chunks is not None

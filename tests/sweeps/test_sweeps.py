@@ -90,7 +90,7 @@ def test_pressures_and_whole_diagrams():
     held = dj.Scene(dj.Membrane(), dj.ConstantPressure(1.0))
     data = dj.sweep(held, pressure=[0.0, 1.82], resolve=True)
     assert [Answer(int(o)).name for o in data.outcome] == ["no_answer", "breakdown_in_snap"]
-    assert dj.Code(int(data.code[0])) is dj.Code.flat_unstretched
+    assert dj.numerics.Code(int(data.code[0])) is dj.numerics.Code.flat_unstretched
     assert abs(float(data.snap_voltage[1, 0]) - 0.114568360882) < 1e-11
     assert np.isnan(data.snap_voltage[0]).all()
 
