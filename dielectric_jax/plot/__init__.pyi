@@ -13,6 +13,7 @@ from .drawing import (
     viewed,
     voltage_text,
 )
+from .loops import plot_courses, plot_runs
 from .maps import plot_fold_curves, plot_regime_map
 from .materials import balloon_pressure, plot_material, tension_curves
 from .modes import plot_mode, plot_spectra
@@ -32,6 +33,7 @@ __all__ = [
     "line_entry",
     "new_figure",
     "plot_chamber",
+    "plot_courses",
     "plot_cross_section",
     "plot_diagram",
     "plot_distribution",
@@ -41,6 +43,7 @@ __all__ = [
     "plot_pressure_volume",
     "plot_ramp",
     "plot_regime_map",
+    "plot_runs",
     "plot_spectra",
     "plot_voltage_volume",
     "point_entries",

@@ -17,7 +17,7 @@ from ..model import (
     PrescribedVolume,
     Scene,
     State,
-    mechanical,
+    as_scalar,
     other_loading,
     profile,
     spring_and_branches,
@@ -29,7 +29,7 @@ from .programs import Seen
 from .protocols import Leg, Linear, legs_of
 from .requests import Request, serve
 from .resolution import LANDING_TOLERANCE, LEAP_SCALE, LOAD_SCALE, MESHES, MOST_JUMPS, TOLERANCE_SHARE, VOLUME_SCALE
-from .runs import Run, at_rest, at_start, dataset_of, event_of
+from .runs import Run, at_rest, at_start, dataset_of, event_of, slopes_of
 
 __all__ = ["bounds", "follow"]
 
@@ -51,7 +51,7 @@ def _start_state(scene: Scene | Membrane, membrane: Membrane, values: dict) -> S
             return equilibrium(membrane, **{name: values[name]})
     if not isinstance(scene, Scene):
         raise ValueError("`scene` must be a Scene unless volume or pressure is given, but is a Membrane.")
-    loading = mechanical(scene.loading)
+    loading = scene.loading
     if isinstance(loading, ConstantPressure):
         return equilibrium(membrane, pressure=float(loading.pressure))
     if isinstance(loading, PrescribedVolume):
@@ -96,7 +96,7 @@ def _begun(setting: Setting, start: str, values: dict) -> Asking[tuple[Setting, 
 
 def _condition(scene: Scene | Membrane, pressure: float, volume: float) -> LoadingCondition:
     """The condition of the loading, with the filling of a chamber at the start."""
-    loading = mechanical(scene.loading) if isinstance(scene, Scene) else ConstantPressure(pressure)
+    loading = scene.loading if isinstance(scene, Scene) else ConstantPressure(pressure)
     return jax.tree.map(float, loading.condition(*((pressure, volume) if isinstance(loading, Chamber) else ())))
 
 
@@ -194,7 +194,7 @@ def _followed(setting: Setting, legs: dict, start: str) -> Asking[Run]:
             found = yield from passed(setting, now, balance, phase.end, phase.kind, unit)
             if not now.rows:
                 now.events.append(event_of("start", found.rows[0], 0.0))
-            now.rows += [(time if phase.kind == "leap" else float(r.time), phase.kind, r) for r in found.rows]
+            now.note(phase.kind, found, time if phase.kind == "leap" else None)
             now.shape, now.x, seen = found.instant.shape, found.instant.x, found.seen
             moment = float(found.instant.shape.moment)
             time = time if phase.kind == "leap" else moment
@@ -219,7 +219,14 @@ def _run(setting: Setting, now: Now, seen: Seen | None, time: float, reason: str
     end = event_of("end", seen, time, reason)
     if events[-1].kind in ("landing", "breakdown", "hoop_tension_loss"):
         end = dataclasses.replace(events[-1], kind="end", reason=reason)
-    return Run(setting.scene, (*events, end), dataset_of(now.rows), max(now.defects, default=0.0), setting.again)
+    return Run(
+        setting.scene,
+        (*events, end),
+        dataset_of(now.rows),
+        max(now.defects, default=0.0),
+        slopes_of(now.rows),
+        setting.again,
+    )
 
 
 def _frozen(setting: Setting, start: str) -> Asking[Run]:
@@ -228,7 +235,7 @@ def _frozen(setting: Setting, start: str) -> Asking[Run]:
     balance = setting.free({"voltage": Linear(0.0, 0.0, 0.0)}, "voltage")
     found = yield from passed(setting, now, balance, math.inf, "frozen", VOLUME_SCALE)
     now.events.insert(0, event_of("start", found.rows[0], 0.0))
-    now.rows += [(0.0, "leap", row) for row in found.rows]
+    now.note("leap", found, 0.0)
     return _run(setting, now, found.seen, 0.0, _REASONS[found.event])
 
 
@@ -239,9 +246,12 @@ def follow(
     volume: typing.Any = None,
     pressure: typing.Any = None,
     start: str = "relaxed",
+    duration: float | None = None,
     tolerance: float = 1e-6,
 ) -> typing.Any:
     """Follows a viscoelastic membrane in time, balanced at every instant, from its state at zero voltage.
+
+    Everything is dimensionless, also of a scene with units, and times are in the unit of the relaxation times.
 
     Args:
         scene: the scene, or the membrane alone where its volume or pressure is prescribed; or a sequence, followed side by side.
@@ -250,6 +260,7 @@ def follow(
         volume: likewise, in place of the scene's loading; the pressure is what the membrane needs.
         pressure: likewise, in place of the scene's loading.
         start: "relaxed" after a long wait at the start, the branches carry nothing; "fresh", just stretched, the dashpots have not moved.
+        duration: when a run ends at the latest; None lets it go on until the protocol ends or something happens.
         tolerance: about the relative error of events.
 
     Returns:
@@ -271,6 +282,9 @@ def follow(
     if start not in _STARTS:
         raise ValueError(f'`start` must be "relaxed" or "fresh", but is {start!r}.')
     check_between("tolerance", tolerance, 1e-10, 1e-2)
+    end = math.inf if duration is None else float(as_scalar(duration))
+    if not end > 0:
+        raise ValueError(f"`duration` must be positive, but is {end!r}.")
     protocols = {n: p for n, p in (("voltage", voltage), ("volume", volume), ("pressure", pressure)) if p is not None}
     if "volume" in protocols and "pressure" in protocols:
         raise ValueError("`volume` or `pressure` must be given, at most one of the two, but both are.")
@@ -281,7 +295,7 @@ def follow(
         many = isinstance(own, (list, tuple))
         if many and len(own) != len(scenes):
             raise ValueError(f"`{name}` must be one protocol, or one a scene, {len(scenes)}, but are {len(own)}.")
-        given.append([(name, legs_of(name, p)) for p in (own if many else [own] * len(scenes))])
+        given.append([(name, legs_of(name, p, end)) for p in (own if many else [own] * len(scenes))])
     for own in scenes:
         if not isinstance(own, (Scene, Membrane)):
             raise ValueError(f"`scene` must be a Scene, a Membrane or a sequence of them, but is {shown(own)}.")

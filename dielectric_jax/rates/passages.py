@@ -14,7 +14,7 @@ from .balance import Balance, Grid, Shape, grid_of
 from .programs import EVENTS, Leap, Seen, signs_of
 from .requests import Request
 from .resolution import LANDING_TOLERANCE, MOST_CALLS, MOST_LOCATING, MOST_SECTIONS
-from .runs import Run, RunEvent, event_of
+from .runs import Row, Run, RunEvent, event_of
 from .stepping import Instant
 
 __all__ = ["Now", "Passed", "Setting", "passed"]
@@ -74,17 +74,6 @@ class Setting(typing.NamedTuple):
         return dataclasses.replace(balance, load=load, moment_weight=0.0)
 
 
-@dataclasses.dataclass
-class Now:
-    """Where a run is: shape and dashpots; and what it has seen so far."""
-
-    shape: Shape
-    x: typing.Any
-    rows: list = dataclasses.field(default_factory=list)
-    events: list[RunEvent] = dataclasses.field(default_factory=list)
-    defects: list[float] = dataclasses.field(default_factory=list)
-
-
 class Passed(typing.NamedTuple):
     """How a leg ended: an event of `EVENTS`, "lost" or "unfinished"; the instant, what is seen of it, and of the steps."""
 
@@ -92,6 +81,24 @@ class Passed(typing.NamedTuple):
     instant: Instant
     seen: Seen
     rows: list[Seen]
+    sigma: list[float]
+
+
+@dataclasses.dataclass
+class Now:
+    """Where a run is: shape and dashpots; and what it has seen so far."""
+
+    shape: Shape
+    x: typing.Any
+    rows: list[Row] = dataclasses.field(default_factory=list)
+    events: list[RunEvent] = dataclasses.field(default_factory=list)
+    defects: list[float] = dataclasses.field(default_factory=list)
+
+    def note(self, phase: str, found: Passed, time: float | None) -> None:
+        """Keeps the steps of a leg, all at one `time`, or at their own."""
+        leg = self.rows[-1].leg + 1 if self.rows else 0
+        for sigma, seen in zip(found.sigma, found.rows, strict=True):
+            self.rows.append(Row(float(seen.time) if time is None else time, phase, leg, sigma, seen))
 
 
 class _Stretch(typing.NamedTuple):
@@ -118,7 +125,9 @@ def _at(tree, k):
 def passed(setting: Setting, now: Now, balance: Balance, limit: float, phase: str, unit: float) -> Asking[Passed]:
     """Follows a leg from `now` until something happens in it; `now.shape.moment` is where m begins."""
     stretch = _Stretch(balance, limit, phase, unit)
-    shape, x, work, rows = now.shape, now.x, np.zeros(2), []
+    shape, x, work = now.shape, now.x, np.zeros(2)
+    rows: list[Seen] = []
+    sigmas: list[float] = []
     tolerance = setting.tolerance if stretch.flows else LANDING_TOLERANCE
     energy = None
     for _ in range(MOST_CALLS):
@@ -133,30 +142,32 @@ def passed(setting: Setting, now: Now, balance: Balance, limit: float, phase: st
         happened = float(np.max(np.where(stretch.watched, signs_of(seen, limit, np)[-1], -np.inf)))
         smooth = known - 1 if happened > 0 else known
         yield from _noticed(setting, now, stretch, _at(ys, slice(smooth)), ts, _at(seen, slice(smooth)))
-        rows += [Seen(*(v[k] for v in seen)) for k in range(smooth)]
+        again = int(bool(rows))  # a further call begins where the one before ended
+        rows += [Seen(*(v[k] for v in seen)) for k in range(again, smooth)]
+        sigmas += [float(s) for s in ts[again:smooth]]
         last = _at(ys, known - 1)
         if happened > 0 and known > 1:
             begin = _at(ys, known - 2)
-            event, instant, there = yield from _located(setting, stretch, begin, ts[known - 2 : known], happened)
+            event, instant, there, place = yield from _located(setting, stretch, begin, ts[known - 2 : known], happened)
             if stretch.flows:
                 gained, dissipated, given = there.energy - energy, *instant.work
                 largest = max(abs(gained), abs(dissipated), abs(given), 1e-3)
                 now.defects.append(float(abs(gained + dissipated - given) / largest))
-            return Passed(event, instant, there, [*rows, there])
+            return Passed(event, instant, there, [*rows, there], [*sigmas, place])
         if happened > 0:  # at the start
             signs = np.where(stretch.watched, signs_of(seen, limit, np)[-1], -np.inf)
             there = Seen(*(v[-1] for v in seen))
-            return Passed(EVENTS[int(np.argmax(signs))], last, there, [there])
+            return Passed(EVENTS[int(np.argmax(signs))], last, there, [there], [sigma])
         if known < 2 or ts[known - 1] - ts[known - 2] < 1e-9 * unit:
-            return Passed("lost", last, rows[-1], rows)
+            return Passed("lost", last, rows[-1], rows, sigmas)
         shape, x, work = last.shape, last.x, last.work
-    return Passed("unfinished", last, rows[-1], rows)
+    return Passed("unfinished", last, rows[-1], rows, sigmas)
 
 
-def _located(setting: Setting, stretch: _Stretch, y0, ends, last: float) -> Asking[tuple[str, Instant, Seen]]:
-    """The first event between two values of σ, by the Illinois method on the largest of the watched signs."""
+def _located(setting: Setting, stretch: _Stretch, y0, ends, last: float) -> Asking[tuple[str, Instant, Seen, float]]:
+    """The first event between two values of σ, and where it is, by the Illinois method on the largest of the watched signs."""
     low, high = map(float, ends)
-    begin, found, side, below, above = low, None, 0, None, last
+    begin, found, side, below, above, middle = low, None, 0, None, last, high
     for _ in range(MOST_LOCATING):
         middle = (low + high) / 2 if below is None else (low * above - high * below) / (above - below)
         margin = 1e-3 * (high - low)
@@ -174,7 +185,7 @@ def _located(setting: Setting, stretch: _Stretch, y0, ends, last: float) -> Aski
             high, above, side = middle, value, 1
     assert found is not None
     signs = np.where(stretch.watched, found[2], -np.inf)
-    return EVENTS[int(np.argmax(signs))], found[0], Seen(*found[1])
+    return EVENTS[int(np.argmax(signs))], found[0], Seen(*found[1]), middle
 
 
 def _restep(setting: Setting, stretch: _Stretch, y0, begin: float, sigma: float) -> Request:

@@ -24,7 +24,7 @@ EVENTS = ("fold", "end", "breakdown", "hoop_tension_loss", "at_rest")
 
 
 class Seen(typing.NamedTuple):
-    """What is measured of an instant: quantities of the diagram, and derivatives by the time and σ."""
+    """What is measured of an instant: quantities of the diagram, derivatives by σ, and the largest dx/dσ."""
 
     time: typing.Any
     load: typing.Any
@@ -37,6 +37,7 @@ class Seen(typing.NamedTuple):
     breakdown_ratio: typing.Any
     energy: typing.Any
     time_rate: typing.Any
+    load_rate: typing.Any
     volume_rate: typing.Any
     pressure_rate: typing.Any
     speed: typing.Any
@@ -80,7 +81,7 @@ class Film(eqx.Module):
         balance, shape = self.balance, y.shape
         a, _, l1 = stretches(balance, shape, grid)
         logs = jnp.stack([jnp.log(l1), jnp.log(jnp.abs(a))])
-        q = balance.load(shape.moment)
+        q, load_rate = jax.jvp(balance.load, (shape.moment,), (y.shape_rate.moment,))
         stress = log_stress(balance.spring, logs, q)[0]
         energy = balance.spring.energy(l1, a) - q * capacitance(balance.spring, l1, a) / 2
         for branch, x in zip(balance.branches, y.x, strict=True):
@@ -104,6 +105,7 @@ class Film(eqx.Module):
             ratio,
             np.pi * (grid.weights @ energy),
             y.shape_rate.moment,
+            load_rate,
             rate,
             y.shape_rate.pressure,
             jnp.max(jnp.abs(y.x_rate)) if y.x.size else jnp.zeros(()),

@@ -147,14 +147,16 @@ class Triangle(AbstractProtocol):
         ]
 
 
-def legs_of(name: str, protocol) -> list[Leg]:
-    """The legs of a protocol, of a function of time, or of a number that is held."""
+def legs_of(name: str, protocol, end: float = math.inf) -> list[Leg]:
+    """The legs of a protocol, of a function of time, or of a number that is held, up to the time `end`."""
     if isinstance(protocol, AbstractProtocol):
-        return protocol.legs()
-    if callable(protocol):
-        return [Leg(0.0, math.inf, Given(protocol))]
-    if isinstance(protocol, (int, float, np.number)):
-        return Hold(float(protocol)).legs()
-    raise ValueError(
-        f"`{name}` must be a Ramp, Hold, Steps, Triangle, a function of time or a number, but is {shown(protocol)}."
-    )
+        legs = protocol.legs()
+    elif callable(protocol):
+        legs = [Leg(0.0, math.inf, Given(protocol))]
+    elif isinstance(protocol, (int, float, np.number)):
+        legs = Hold(float(protocol)).legs()
+    else:
+        raise ValueError(
+            f"`{name}` must be a Ramp, Hold, Steps, Triangle, a function of time or a number, but is {shown(protocol)}."
+        )
+    return [leg._replace(end=min(leg.end, end)) for leg in legs if leg.begin < end]

@@ -7,12 +7,24 @@ import typing
 
 import numpy as np
 import xarray
+from scipy.interpolate import CubicHermiteSpline
 
 from ..diagram import voltage_volume
 from ..model import Membrane, Scene, Unrelaxed, Viscoelastic, spring_and_branches
+from ..numerics import check_whole
 from .programs import Seen
 
-__all__ = ["Run", "RunEvent", "Snap", "at_rest", "at_start", "event_of"]
+__all__ = ["Row", "Run", "RunEvent", "Snap", "at_rest", "at_start", "dataset_of", "event_of", "slopes_of"]
+
+
+class Row(typing.NamedTuple):
+    """A step of a run: the time, the phase and number of its leg, σ, and what is seen."""
+
+    time: float
+    phase: str
+    leg: int
+    sigma: float
+    seen: Seen
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,8 +57,8 @@ class Run:
 
     `events`, in the order of time: start, instantaneous_fold, landing, fastest (of dV/dt), peak_pressure (where the volume is
     prescribed), breakdown, hoop_tension_loss, end with a `reason`. `dataset` holds the steps: time, voltage, pressure, volume,
-    apex_stretch, height, charge, hoop_tension (the least true hoop stress), breakdown_ratio, energy, volume_rate = dV/dt, and
-    their `phase`: flow, hold, or leap (what is prescribed changes at once). `energy_defect` is the largest
+    apex_stretch, height, charge, hoop_tension (the least true hoop stress), breakdown_ratio, energy, volume_rate = dV/dt, σ, the number of their `leg`, and
+    its `phase`: flow, hold, or leap (what is prescribed changes at once). A jump begins a new leg. `energy_defect` is the largest
     |ΔU − ∫ p dV + ∫ Q dΦ + ∫ D dt| of a leg over its largest term: a check, and no estimate of the error, which
     `error_estimate` is.
     """
@@ -55,12 +67,36 @@ class Run:
     events: tuple[RunEvent, ...]
     dataset: xarray.Dataset
     energy_defect: float
+    _slopes: dict = dataclasses.field(repr=False, compare=False)
     _again: "typing.Callable[[], Run]" = dataclasses.field(repr=False, compare=False)
 
     @property
     def reason(self) -> str:
         """Why the run ended."""
         return self.events[-1].reason
+
+    def dense(self, per_step: int = 8) -> xarray.Dataset:
+        """Time, volume, pressure and voltage between the steps, by cubic Hermite interpolation in σ; NaN where a leg ends.
+
+        The steps are few, as the method is of order 5; this is for figures.
+        """
+        check_whole("per_step", per_step, 1, 1000)
+        data, sigma = self.dataset, self.dataset.sigma.values
+        ends = np.flatnonzero(np.diff(data.leg.values)) + 1
+        found: dict[str, list] = {name: [] for name in ("time", *self._slopes)}
+        for part in np.split(np.arange(len(sigma)), ends):
+            share = np.linspace(0.0, 1.0, per_step, endpoint=False)
+            places = np.append(
+                (sigma[part[:-1], None] + np.diff(sigma[part])[:, None] * share).ravel(), sigma[part[-1]]
+            )
+            for name, slopes in self._slopes.items():
+                values = data.voltage.values[part] ** 2 if name == "load" else data[name].values[part]
+                curve = values if len(part) < 2 else CubicHermiteSpline(sigma[part], values, slopes[part])(places)
+                found[name] += [*np.atleast_1d(curve), np.nan]
+            found["time"] += [*np.interp(places, sigma[part], data.time.values[part]), np.nan]
+        columns = {n: np.array(found[n]) for n in ("time", "volume", "pressure")}
+        columns["voltage"] = np.sqrt(np.maximum(found["load"], 0.0))
+        return xarray.Dataset({name: ("point", values) for name, values in columns.items()})
 
     def event(self, kind: str) -> RunEvent | None:
         """The first event of a kind, None where there is none."""
@@ -117,19 +153,27 @@ def at_rest(scene: Scene) -> Scene:
     return dataclasses.replace(scene, membrane=at_start(scene.membrane, "relaxed"))
 
 
+def slopes_of(rows: list[Row]) -> dict[str, np.ndarray]:
+    """The derivatives by σ at the steps."""
+    names = {"volume": "volume_rate", "pressure": "pressure_rate", "load": "load_rate"}
+    return {name: np.array([float(getattr(row.seen, rate)) for row in rows]) for name, rate in names.items()}
+
+
 _COLUMNS = ("pressure", "volume", "apex_stretch", "height", "charge", "hoop_tension", "breakdown_ratio", "energy")
 
 
-def dataset_of(rows: list[tuple[float, str, Seen]]) -> xarray.Dataset:
-    """The steps (time, phase, what is seen) as columns."""
-    times, phases, seen = zip(*rows, strict=True)
+def dataset_of(rows: list[Row]) -> xarray.Dataset:
+    """The steps as columns."""
+    seen = [row.seen for row in rows]
     stacked = {name: np.array([float(getattr(row, name)) for row in seen]) for name in Seen._fields}
     with np.errstate(divide="ignore", invalid="ignore"):  # at an instantaneous fold the speed is infinite
         speed = stacked["volume_rate"] / stacked["time_rate"]
     columns = {
-        "time": np.array(times),
+        "time": np.array([row.time for row in rows]),
         "voltage": np.sqrt(np.maximum(stacked["load"], 0.0)),
         "volume_rate": speed,
-        "phase": np.array(phases),
+        "sigma": np.array([row.sigma for row in rows]),
+        "phase": np.array([row.phase for row in rows]),
+        "leg": np.array([row.leg for row in rows]),
     } | {name: stacked[name] for name in _COLUMNS}
     return xarray.Dataset({name: ("step", values) for name, values in columns.items()})

@@ -66,6 +66,25 @@ def test_ramps(ramps):
             check_event(run.snap.landing, known["landing_frozen"])
 
 
+def test_dense_output(ramps):
+    """Between the steps, the voltage at which the volume passes round numbers."""
+    for item, run in ramps:
+        curve = run.dense(64)
+        leg = slice(0, int(np.flatnonzero(np.isnan(curve.volume))[0]))  # up to the first jump
+        for volume, known in item["result"].get("marks", {}).items():
+            found = np.interp(float(volume), curve.volume[leg], curve.voltage[leg])
+            assert found == pytest.approx(known["value"], rel=3e-5)
+
+
+def test_pictures(ramps):
+    """A line a run, a dotted one a jump, and two for the bounds; three panels over the time."""
+    item, run = next((i, r) for i, r in ramps if i["scene"] == {"material": "M1", "pressure": 1.82, "rate": 0.01})
+    ax = dj.plot.plot_runs([run], bounds=rates.bounds(scene_of(item["scene"])), labels=["0.01"])
+    assert [line.get_linestyle() for line in ax.lines] == ["-", "-", ":", "-"]
+    assert [t.get_text() for t in ax.get_legend().get_texts()] == ["at rest", "dashpots stuck", "0.01"]
+    assert len(dj.plot.plot_courses(run).axes) == 3
+
+
 def test_energy_is_balanced(ramps):
     """ΔU = ∫ p dV − ∫ Q dΦ − ∫ D dt, by the quadrature of the stages."""
     assert max(run.energy_defect for _, run in ramps) < 1e-6
@@ -147,12 +166,38 @@ def test_error_estimates():
     assert true <= 10 * run.error_estimate < 1e-3
 
 
+def test_a_function_of_time_is_a_ramp():
+    """The same course as a ramp and as a function, until the same time."""
+    scene = scene_of({"material": "M4", "pressure": 1.82})
+    ramp = rates.follow(scene, voltage=rates.Ramp(rate=0.1), duration=1.0, tolerance=1e-8)
+    own = rates.follow(scene, voltage=lambda t: 0.1 * t, duration=1.0, tolerance=1e-8)
+    for run in (ramp, own):
+        assert (run.reason, run.events[-1].time) == ("end of the protocol", pytest.approx(1.0, abs=1e-12))
+    assert own.events[-1].volume == pytest.approx(ramp.events[-1].volume, rel=1e-8)
+
+
+def test_a_voltage_that_is_switched_off():
+    """After a hold and a drop to zero the film recovers, at last to where it began."""
+    scene = scene_of({"material": "M4", "chamber_volume": 1600.0, "initial_volume": 2.42})
+    run = rates.follow(scene, voltage=rates.Steps([(0.06, 5.0), (0.0, 100.0)]), tolerance=1e-8)
+    data = run.dataset
+    assert run.reason == "at rest"
+    assert float(data.volume.max()) > 2.6
+    assert float(data.volume[-1]) == pytest.approx(2.42, rel=1e-6)
+
+
 def test_bad_input():
     scene = scene_of({"material": "M1", "pressure": 1.82})
+    charged = dj.Scene(scene.membrane, dj.ChargeControl(scene.loading))
     for words, call in (
         ("`rate` must not be zero", lambda: rates.Ramp(rate=0.0)),
         ("`start` must be", lambda: rates.follow(scene, voltage=0.1, start="wet")),
         ("`voltage` must be a Ramp", lambda: rates.follow(scene, voltage="high")),
+        (
+            "`loading` must be a Chamber, a ConstantPressure or a PrescribedVolume here",
+            lambda: rates.follow(charged, voltage=0.1),
+        ),
+        ("`duration` must be positive", lambda: rates.follow(scene, voltage=0.1, duration=0.0)),
         ("`volume` or `pressure` must be given, at most one", lambda: rates.follow(scene, volume=1.0, pressure=1.0)),
         ("`scene` must be a Scene unless", lambda: rates.follow(scene.membrane, voltage=0.1)),
         ("`voltage` must be one protocol, or one a scene", lambda: rates.follow([scene], voltage=[0.1, 0.2])),
