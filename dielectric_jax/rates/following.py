@@ -272,7 +272,8 @@ def follow(
         ValueError: for bad input.
         SceneError: where there is no start.
 
-    >>> from dielectric_jax.model import Chamber, Gent, Maxwell, Viscoelastic
+    >>> from dielectric_jax.model import Gent, Maxwell, Viscoelastic
+    >>> from dielectric_jax.rates import Ramp
     >>> rubber = Viscoelastic(Gent(270.0), [Maxwell(Gent(270.0), modulus_ratio=1.0, relaxation_time=1.0)])
     >>> scene = Scene(Membrane(rubber), ConstantPressure(1.82))
     >>> run = follow(scene, voltage=Ramp(rate=0.01))
