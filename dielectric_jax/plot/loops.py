@@ -23,7 +23,7 @@ def plot_runs(
 
     Args:
         runs: what `follow` returns, for several rates.
-        bounds: what `bounds` returns for the scene: the diagram at rest is drawn in black, that at stuck dashpots in grey.
+        bounds: what `bounds` returns for the scene: the diagram at rest is drawn in black, that at frozen dashpots in grey.
         labels: names of the runs.
         ax: axes to draw on; new ones when None.
 
@@ -47,7 +47,7 @@ def plot_runs(
             branch.volume[keep], np.sqrt(branch.voltage_squared[keep]), color="black", linewidth=0.9, label="at rest"
         )
         held = fast.dense()
-        ax.plot(held.volume, held.voltage, color="0.6", linewidth=0.9, label="dashpots stuck")
+        ax.plot(held.volume, held.voltage, color="0.6", linewidth=0.9, label="dashpots frozen")
     names = list(labels) or [f"run {k + 1}" for k in range(len(runs))]
     for run, label, colour in zip(runs, names, sequence(len(runs)), strict=True):
         curve = run.dense()

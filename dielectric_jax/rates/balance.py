@@ -13,7 +13,7 @@ neighbours. A step from x̂, m̂ by a collocation method of matrix A has S stage
     ∂Π/∂a = 0,   the loading,   m_i + κ V_i = σ_i               N + 2 equations a stage,
 
 of which Newton's method eliminates the first two kinds point by point. m is the time, an unknown as V is: at an instantaneous
-fold dm/dσ = 0 and nothing is singular. One stage with B = 1 is a balance with stuck dashpots, if they do not flow.
+fold dm/dσ = 0 and nothing is singular. One stage with B = 1 is a balance with frozen dashpots, if they do not flow.
 """
 
 import functools
@@ -84,7 +84,7 @@ class Balance(eqx.Module):
     """What is balanced: the film, the loading, and how both depend on m.
 
     `load(m)` is q; `pressure(m)` or `volume(m)` is prescribed where it is given, else `condition` holds. The last equation is
-    `moment_weight` m + `volume_weight` V = σ. Dashpots flow where `flows` is 1 and are stuck where it is 0.
+    `moment_weight` m + `volume_weight` V = σ. Dashpots flow where `flows` is 1 and are frozen where it is 0.
     """
 
     spring: AbstractMaterial
@@ -185,7 +185,7 @@ def _branch(branch: Maxwell, logs, x, begin, moved, flows, inverse) -> tuple[_St
     rate = jnp.asarray(FLOW) / branch.relaxation_time
     flowing = flows * jnp.einsum("ij,sjg->sig", rate, value)
     implicit = flows * moved[:, None, None, None] * jnp.einsum("ij,sjkg->sikg", rate, change)
-    coupled = jnp.asarray(inverse)[:, None, :, None, None] * jnp.eye(2)[:, None, :, None] + 0 * implicit[:, :, None]
+    coupled = jnp.asarray(inverse)[:, None, :, None, None] * jnp.eye(2)[:, None, :, None]
     matrix = coupled + _on_diagonal(implicit)
     residual = jnp.einsum("st,tig->sig", inverse, x - begin) - moved[:, None, None] * flowing
     by_logs = _on_diagonal(implicit)

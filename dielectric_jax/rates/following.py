@@ -122,7 +122,7 @@ def _phases(legs: dict[str, list[Leg]], driven: str) -> list[_Phase]:
     for end in ends:
         courses = {n: next(leg.course for leg in own if leg.end >= end) for n, own in legs.items()}
         target = {n: float(c(begin)) for n, c in courses.items()}
-        if target != values:
+        if any(not math.isclose(target[n], values[n], rel_tol=1e-12, abs_tol=1e-300) for n in target):
             leaps = {n: Linear(values[n], target[n] - values[n], 0.0) for n in target}
             found.append(_Phase("leap", leaps, 0.0, 1.0))
         still = all(isinstance(c, Linear) and not c.rate for c in courses.values())
@@ -150,35 +150,44 @@ def _scale(setting: Setting, phase: _Phase, moment: float) -> tuple[float, float
 
 
 def _jumped(setting: Setting, now: Now, phase: _Phase, moment: float) -> Asking[Passed]:
-    """From an instantaneous fold to the state at the same voltage (or pressure) and dashpots on which the jump lands."""
+    """From an instantaneous fold to the state at the same voltage (or pressure) and dashpots on which the jump lands.
+
+    At the fold κ dV/dσ = 1: the volume goes the way that the sign of κ says. There q(V) turns back to its value from below if it
+    rises, from above if it falls.
+    """
     driver = "pressure" if setting.driven == "pressure" else "voltage"
-    level = float(phase.courses[driver](moment)) ** (2 if driver == "voltage" else 1)
+    sense = math.copysign(1.0, _scale(setting, phase, moment)[0])
+    level = sense * float(phase.courses[driver](moment)) ** (2 if driver == "voltage" else 1)
     frozen = {name: Linear(float(course(moment)), 0.0, 0.0) for name, course in phase.courses.items()}
-    frozen[driver] = Linear(0.0, float(driver == "pressure"), 0.0)
     start = Now(now.shape._replace(moment=level), now.x)
-    return (yield from passed(setting, start, setting.free(frozen, driver), level, "jump", VOLUME_SCALE))
+    return (yield from passed(setting, start, setting.free(frozen, driver, sense), level, "jump", VOLUME_SCALE))
 
 
-def _snapped(setting: Setting, now: Now, phase: _Phase, at: tuple[float, float], seen: Seen, jumps: int) -> Asking[str]:
-    """Notes an instantaneous fold at (m, time) and jumps from it; why the run ends there, or nothing where it goes on."""
+def _snapped(
+    setting: Setting, now: Now, phase: _Phase, at: tuple[float, float], seen: Seen, jumps: int
+) -> Asking[tuple[str, Seen]]:
+    """Notes an instantaneous fold at (m, time) and jumps from it.
+
+    Returns why the run ends there, or nothing where it goes on, and what is seen last.
+    """
     moment, time = at
     now.events.append(event_of("instantaneous_fold", seen, time))
     if setting.driven == "volume":
-        return "fold at a prescribed volume"
+        return "fold at a prescribed volume", seen
     if jumps > MOST_JUMPS:
-        return "too many jumps"
+        return "too many jumps", seen
     landed = yield from _jumped(setting, now, phase, moment)
     if landed.event != "end":
-        return "landing not found"
+        return "landing not found", seen
     now.events.append(event_of("landing", landed.seen, time))
     now.shape = landed.instant.shape
     if landed.seen.breakdown_ratio >= 1:
         now.events.append(event_of("breakdown", landed.seen, time))
-        return "breakdown in the snap"
+        return "breakdown in the snap", landed.seen
     if landed.seen.hoop_tension <= 0:
         now.events.append(event_of("hoop_tension_loss", landed.seen, time))
-        return "hoop tension lost"
-    return ""
+        return "hoop tension lost", landed.seen
+    return "", landed.seen
 
 
 def _followed(setting: Setting, legs: dict, start: str) -> Asking[Run]:
@@ -201,7 +210,7 @@ def _followed(setting: Setting, legs: dict, start: str) -> Asking[Run]:
             if found.event != "fold":
                 break
             jumps += 1
-            reason = yield from _snapped(setting, now, phase, (moment, time), seen, jumps)
+            reason, seen = yield from _snapped(setting, now, phase, (moment, time), seen, jumps)
             if reason:
                 return _run(setting, now, seen, time, reason)
         reason = _REASONS[found.event]
@@ -217,8 +226,6 @@ def _run(setting: Setting, now: Now, seen: Seen | None, time: float, reason: str
     order = {"start": 0, "end": 2}
     events = sorted(now.events, key=lambda e: (order.get(e.kind, 1), e.time))
     end = event_of("end", seen, time, reason)
-    if events[-1].kind in ("landing", "breakdown", "hoop_tension_loss"):
-        end = dataclasses.replace(events[-1], kind="end", reason=reason)
     return Run(
         setting.scene,
         (*events, end),
@@ -232,7 +239,7 @@ def _run(setting: Setting, now: Now, seen: Seen | None, time: float, reason: str
 def _frozen(setting: Setting, start: str) -> Asking[Run]:
     """The equilibria with the dashpots where they are at the start, by rising volume, up to breakdown or the loss of hoop tension."""
     setting, now = yield from _begun(setting, start, {})
-    balance = setting.free({"voltage": Linear(0.0, 0.0, 0.0)}, "voltage")
+    balance = setting.free({}, "voltage", 1.0)
     found = yield from passed(setting, now, balance, math.inf, "frozen", VOLUME_SCALE)
     now.events.insert(0, event_of("start", found.rows[0], 0.0))
     now.note("leap", found, 0.0)
@@ -256,7 +263,7 @@ def follow(
     Args:
         scene: the scene, or the membrane alone where its volume or pressure is prescribed; or a sequence, followed side by side.
         voltage: a `Ramp`, `Hold`, `Steps`, `Triangle`, a function of time written with jax.numpy, or a number that is held; or a
-            sequence of these, one a scene. Where it changes at once the dashpots are stuck meanwhile.
+            sequence of these, one a scene. Where it changes at once the dashpots are frozen meanwhile.
         volume: likewise, in place of the scene's loading; the pressure is what the membrane needs.
         pressure: likewise, in place of the scene's loading.
         start: "relaxed" after a long wait at the start, the branches carry nothing; "fresh", just stretched, the dashpots have not moved.
@@ -264,7 +271,7 @@ def follow(
         tolerance: about the relative error of events.
 
     Returns:
-        A `Run`, or a list of them. At an instantaneous fold the film jumps at stuck dashpots; a jump is an event with its landing,
+        A `Run`, or a list of them. At an instantaneous fold the film jumps at frozen dashpots; a jump is an event with its landing,
         never silent. A run ends with a reason: "end of the protocol", "at rest", "breakdown on the branch", "breakdown in the snap",
         "hoop tension lost", "landing not found", "not converged" and others that say what could not be followed.
 
@@ -324,7 +331,7 @@ def _setting(scene, legs: dict, mesh: tuple[int, int], tolerance: float, again) 
 
 
 def bounds(scene: Scene, *, start: str = "relaxed") -> tuple[Diagram, Run]:
-    """The two limits of a ramp of the voltage: infinitely slow, the diagram at rest, and infinitely fast, at stuck dashpots.
+    """The two limits of a ramp of the voltage: infinitely slow, the diagram at rest, and infinitely fast, at frozen dashpots.
 
     The first is `voltage_volume` of the equilibrium spring. The second is a `Run` by rising volume at time 0, whose voltages are those of
     equilibria with the dashpots where they are at the start; its events "instantaneous_fold" are where an infinitely fast ramp snaps.

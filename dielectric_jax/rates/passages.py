@@ -11,7 +11,8 @@ import numpy as np
 
 from ..model import LoadingCondition, Membrane, Scene, spring_and_branches
 from .balance import Balance, Grid, Shape, grid_of
-from .programs import EVENTS, Leap, Seen, signs_of
+from .programs import EVENTS, Seen, Start, signs_of
+from .protocols import Linear
 from .requests import Request
 from .resolution import LANDING_TOLERANCE, MOST_CALLS, MOST_LOCATING, MOST_SECTIONS
 from .runs import Row, Run, RunEvent, event_of
@@ -33,7 +34,7 @@ _WATCHED = {
 
 
 class Load(eqx.Module):
-    """q = Φ² of a course of the voltage; along a jump q = m, which may be negative on the way."""
+    """q = Φ² of a course of the voltage; along a jump q = ±m, which may be negative on the way."""
 
     course: typing.Any
     share: float
@@ -67,11 +68,12 @@ class Setting(typing.NamedTuple):
             spring, branches, self.membrane.prestretch, self.condition, load, *prescribed, kappa, 1.0, float(flows)
         )
 
-    def free(self, courses: dict, driver: str) -> Balance:
-        """The balance with stuck dashpots at a prescribed volume, σ = V, in which m is q or the pressure."""
-        balance = self.balance(courses, flows=False, kappa=1.0)
-        load = Load(courses["voltage"], float(driver == "voltage"))
-        return dataclasses.replace(balance, load=load, moment_weight=0.0)
+    def free(self, courses: dict, driver: str, sense: float) -> Balance:
+        """The balance with frozen dashpots at prescribed volumes, σ = ±V by the `sense`, in which m is ±q or ±p."""
+        balance = self.balance(courses | {driver: Linear(0.0, 0.0, 0.0)}, flows=False, kappa=sense)
+        freed = Linear(0.0, sense, 0.0)
+        changes = {"load": Load(balance.load.course, sense)} if driver == "voltage" else {"pressure": freed}
+        return dataclasses.replace(balance, moment_weight=0.0, **changes)
 
 
 class Passed(typing.NamedTuple):
@@ -96,12 +98,12 @@ class Now:
 
     def note(self, phase: str, found: Passed, time: float | None) -> None:
         """Keeps the steps of a leg, all at one `time`, or at their own."""
-        leg = self.rows[-1].leg + 1 if self.rows else 0
+        number = self.rows[-1].leg + 1 if self.rows else 0
         for sigma, seen in zip(found.sigma, found.rows, strict=True):
-            self.rows.append(Row(float(seen.time) if time is None else time, phase, leg, sigma, seen))
+            self.rows.append(Row(float(seen.time) if time is None else time, phase, number, sigma, seen))
 
 
-class _Stretch(typing.NamedTuple):
+class _Leg(typing.NamedTuple):
     """What a leg is followed with: the balance, where m ends, what is watched, and the unit of σ."""
 
     balance: Balance
@@ -124,38 +126,38 @@ def _at(tree, k):
 
 def passed(setting: Setting, now: Now, balance: Balance, limit: float, phase: str, unit: float) -> Asking[Passed]:
     """Follows a leg from `now` until something happens in it; `now.shape.moment` is where m begins."""
-    stretch = _Stretch(balance, limit, phase, unit)
+    leg = _Leg(balance, limit, phase, unit)
     shape, x, work = now.shape, now.x, np.zeros(2)
     rows: list[Seen] = []
     sigmas: list[float] = []
-    tolerance = setting.tolerance if stretch.flows else LANDING_TOLERANCE
+    tolerance = setting.tolerance if leg.flows else LANDING_TOLERANCE
     energy = None
     for _ in range(MOST_CALLS):
         a = float(balance.prestretch) + setting.grid.functions[0] @ np.asarray(shape.coefficients)
         volume = np.pi * np.sum(setting.grid.weights * setting.grid.s * a**2 * shape.slope)
         sigma = float(balance.moment_weight * shape.moment + balance.volume_weight * volume)
-        leap = Leap(balance, shape, x, work, limit, stretch.watched.astype(float), sigma, unit)
-        ys, ts, seen = yield Request("evolve", setting.mesh, (setting.membrane.breakdown, leap), (tolerance,))
+        start = Start(balance, shape, x, work, limit, leg.watched.astype(float), sigma, unit)
+        ys, ts, seen = yield Request("evolve", setting.mesh, (setting.membrane.breakdown, start), (tolerance,))
         known = int(np.sum(np.isfinite(ts)))
         seen = Seen(*(v[:known] for v in seen))
         energy = seen.energy[0] if energy is None else energy
-        happened = float(np.max(np.where(stretch.watched, signs_of(seen, limit, np)[-1], -np.inf)))
+        happened = float(np.max(np.where(leg.watched, signs_of(seen, limit, np)[-1], -np.inf)))
         smooth = known - 1 if happened > 0 else known
-        yield from _noticed(setting, now, stretch, _at(ys, slice(smooth)), ts, _at(seen, slice(smooth)))
+        yield from _noticed(setting, now, leg, _at(ys, slice(smooth)), ts, _at(seen, slice(smooth)))
         again = int(bool(rows))  # a further call begins where the one before ended
         rows += [Seen(*(v[k] for v in seen)) for k in range(again, smooth)]
         sigmas += [float(s) for s in ts[again:smooth]]
         last = _at(ys, known - 1)
         if happened > 0 and known > 1:
             begin = _at(ys, known - 2)
-            event, instant, there, place = yield from _located(setting, stretch, begin, ts[known - 2 : known], happened)
-            if stretch.flows:
+            event, instant, there, place = yield from _located(setting, leg, begin, ts[known - 2 : known], happened)
+            if leg.flows:
                 gained, dissipated, given = there.energy - energy, *instant.work
                 largest = max(abs(gained), abs(dissipated), abs(given), 1e-3)
                 now.defects.append(float(abs(gained + dissipated - given) / largest))
             return Passed(event, instant, there, [*rows, there], [*sigmas, place])
         if happened > 0:  # at the start
-            signs = np.where(stretch.watched, signs_of(seen, limit, np)[-1], -np.inf)
+            signs = np.where(leg.watched, signs_of(seen, limit, np)[-1], -np.inf)
             there = Seen(*(v[-1] for v in seen))
             return Passed(EVENTS[int(np.argmax(signs))], last, there, [there], [sigma])
         if known < 2 or ts[known - 1] - ts[known - 2] < 1e-9 * unit:
@@ -164,7 +166,7 @@ def passed(setting: Setting, now: Now, balance: Balance, limit: float, phase: st
     return Passed("unfinished", last, rows[-1], rows, sigmas)
 
 
-def _located(setting: Setting, stretch: _Stretch, y0, ends, last: float) -> Asking[tuple[str, Instant, Seen, float]]:
+def _located(setting: Setting, leg: _Leg, y0, ends, last: float) -> Asking[tuple[str, Instant, Seen, float]]:
     """The first event between two values of σ, and where it is, by the Illinois method on the largest of the watched signs."""
     low, high = map(float, ends)
     begin, found, side, below, above, middle = low, None, 0, None, last, high
@@ -172,8 +174,10 @@ def _located(setting: Setting, stretch: _Stretch, y0, ends, last: float) -> Aski
         middle = (low + high) / 2 if below is None else (low * above - high * below) / (above - below)
         margin = 1e-3 * (high - low)
         middle = min(max(middle, low + margin), high - margin)
-        found = yield _restep(setting, stretch, y0, begin, middle)
-        value = float(np.max(np.where(stretch.watched, found[2], -np.inf)))
+        found = yield _restep(setting, leg, y0, begin, middle)
+        value = float(np.max(np.where(leg.watched, found[2], -np.inf)))
+        if math.isnan(value):  # a shorter step did not converge
+            return "lost", y0, Seen(*found[1]), begin
         if abs(value) <= 1e-12 * max(last, 1.0) or high - low <= 1e-14 * abs(high):
             break
         # the value at an end that stays is halved, so that the other end moves too
@@ -184,54 +188,54 @@ def _located(setting: Setting, stretch: _Stretch, y0, ends, last: float) -> Aski
             below = below / 2 if below is not None and side > 0 else below
             high, above, side = middle, value, 1
     assert found is not None
-    signs = np.where(stretch.watched, found[2], -np.inf)
+    signs = np.where(leg.watched, found[2], -np.inf)
     return EVENTS[int(np.argmax(signs))], found[0], Seen(*found[1]), middle
 
 
-def _restep(setting: Setting, stretch: _Stretch, y0, begin: float, sigma: float) -> Request:
+def _restep(setting: Setting, leg: _Leg, y0, begin: float, sigma: float) -> Request:
     """One step from an instant to another σ."""
-    arguments = setting.membrane.breakdown, stretch.balance, y0, begin, sigma, stretch.limit
+    arguments = setting.membrane.breakdown, leg.balance, y0, begin, sigma, leg.limit
     return Request("restep", setting.mesh, arguments)
 
 
-def _noticed(setting: Setting, now: Now, stretch: _Stretch, ys, ts, seen: Seen) -> Asking[None]:
+def _noticed(setting: Setting, now: Now, leg: _Leg, ys, ts, seen: Seen) -> Asking[None]:
     """Notes what does not end a leg.
 
     That is the fastest point of an expansion, or the peaks of the pressure where the volume is prescribed, or those of the load
     by rising volume.
     """
-    if len(seen.time) < 2 or stretch.phase in ("leap", "jump"):
+    if len(seen.time) < 2 or leg.phase in ("leap", "jump"):
         return
-    if stretch.phase == "frozen" or setting.driven == "volume":
-        frozen = stretch.phase == "frozen"
+    if leg.phase == "frozen" or setting.driven == "volume":
+        frozen = leg.phase == "frozen"
         rate, of = (seen.time_rate, "load") if frozen else (seen.pressure_rate, "pressure")
         for k in np.flatnonzero((rate[:-1] > 0) & (rate[1:] <= 0)):
-            there = yield from _greatest(setting, stretch, _at(ys, k), ts[k : k + 2], of)
+            there = yield from _greatest(setting, leg, _at(ys, k), ts[k : k + 2], of)
             kind = "instantaneous_fold" if frozen else "peak_pressure"
             now.events.append(event_of(kind, there, 0.0 if frozen else float(there.time)))
         return
     speed = seen.volume_rate / seen.time_rate
-    inner = np.flatnonzero((speed[1:-1] > speed[:-2]) & (speed[1:-1] >= speed[2:])) + 1
+    inner = np.flatnonzero((speed[1:-1] > np.maximum(speed[:-2], 0.0)) & (speed[1:-1] >= speed[2:])) + 1
     if len(inner):
         k = int(inner[np.argmax(speed[inner])])
         around = []
         for step in (k - 1, k):
-            around.append((yield from _greatest(setting, stretch, _at(ys, step), ts[step : step + 2], "speed")))
+            around.append((yield from _greatest(setting, leg, _at(ys, step), ts[step : step + 2], "speed")))
         best = max(around, key=lambda s: s.volume_rate / s.time_rate)
         now.events.append(event_of("fastest", best, float(best.time)))
 
 
-def _greatest(setting: Setting, stretch: _Stretch, y0, ends, of: str) -> Asking[Seen]:
+def _greatest(setting: Setting, leg: _Leg, y0, ends, of: str) -> Asking[Seen]:
     """What is seen at the greatest pressure, load or speed dV/dm between two values of σ, by golden sections."""
     low, high = map(float, ends)
     begin = low
     share = (math.sqrt(5) - 1) / 2
 
     def asked(sigma) -> Asking[tuple[Seen, float]]:
-        _, seen, _ = yield _restep(setting, stretch, y0, begin, sigma)
+        _, seen, _ = yield _restep(setting, leg, y0, begin, sigma)
         seen = Seen(*seen)
         values = {"pressure": seen.pressure, "speed": seen.volume_rate / seen.time_rate, "load": seen.load}
-        return seen, float(values[of])
+        return seen, float(np.nan_to_num(values[of], nan=-np.inf))
 
     first, second = high - share * (high - low), low + share * (high - low)
     left = yield from asked(first)

@@ -17,7 +17,7 @@ from .balance import Balance, Grid, Shape, balanced, grid_of, log_stress, stretc
 from .resolution import FIRST_STEP, LOOK_POINTS, STEPS_OF_A_CALL, STOPPED
 from .stepping import Instant, Radau5, advance, instant_of
 
-__all__ = ["EVENTS", "Film", "Leap", "Seen", "evolve_program", "restep_program", "settle_program", "signs_of"]
+__all__ = ["EVENTS", "Film", "Seen", "Start", "evolve_program", "restep_program", "settle_program", "signs_of"]
 
 # what ends a leg, in the order of `Film.signs`
 EVENTS = ("fold", "end", "breakdown", "hoop_tension_loss", "at_rest")
@@ -57,7 +57,7 @@ def _look(functions: int, points: int):
     return np.asarray(BarycentricInterpolator(grid.share, np.eye(points))(np.linspace(0.0, 1.0, LOOK_POINTS)))
 
 
-class Leap(typing.NamedTuple):
+class Start(typing.NamedTuple):
     """A leg: the balance, where it begins (shape, dashpots, energy dissipated), where m ends, and what is watched (5,)."""
 
     balance: Balance
@@ -123,25 +123,25 @@ def _watched(signs, watched):
 
 @functools.cache
 def evolve_program(functions: int, points: int):
-    """`(breakdown, leap, tolerance)` of one leg: the instants after its steps, their σ, and what is seen of them."""
+    """`(breakdown, start, tolerance)` of one leg: the instants after its steps, their σ, and what is seen of them."""
     grid = grid_of(functions, points)
 
-    def run(breakdown, leap: Leap, tolerance):
-        film = Film(leap.balance, breakdown)
-        y0 = instant_of(leap.balance, leap.shape, leap.x, grid, leap.work)
+    def run(breakdown, start: Start, tolerance):
+        film = Film(start.balance, breakdown)
+        y0 = instant_of(start.balance, start.shape, start.x, grid, start.work)
 
         def happened(t, y, args, **_):
-            return jnp.any(_watched(film.signs(grid, y, leap.end), leap.watched) > 0)
+            return jnp.any(_watched(film.signs(grid, y, start.end), start.watched) > 0)
 
-        control = diffrax.PIDController(rtol=0.0, atol=tolerance, norm=optx.max_norm, dtmin=1e-12 * leap.first)
+        control = diffrax.PIDController(rtol=0.0, atol=tolerance, norm=optx.max_norm, dtmin=1e-12 * start.first)
         found = diffrax.diffeqsolve(
             diffrax.ODETerm(lambda t, y, args: y),
             Radau5(),
-            leap.sigma,
-            leap.sigma + 1e9 * leap.first,
-            FIRST_STEP * leap.first,
+            start.sigma,
+            start.sigma + 1e9 * start.first,
+            FIRST_STEP * start.first,
             y0,
-            args=(leap.balance, grid),
+            args=(start.balance, grid),
             stepsize_controller=control,
             event=diffrax.Event(happened),
             saveat=diffrax.SaveAt(steps=True, t0=True),
@@ -157,20 +157,20 @@ def evolve_program(functions: int, points: int):
 
 @functools.cache
 def restep_program(functions: int, points: int):
-    """`(breakdown, balance, begin, σ of begin, σ, end)`: the instant at σ by one step, what is seen there, and the signs of events."""
+    """`(breakdown, balance, begin, σ of begin, σ, end)`: the instant at σ by one step, what is seen there, and the signs of events, NaN where Newton's method failed."""
     grid = grid_of(functions, points)
 
     def run(breakdown, balance, y0, begin, stop, end):
         film = Film(balance, breakdown)
-        y = advance(balance, grid, begin, stop, y0)[0]
-        return y, film.seen(grid, y), film.signs(grid, y, end)
+        y, _, good = advance(balance, grid, begin, stop, y0)
+        return y, film.seen(grid, y), jnp.where(good, film.signs(grid, y, end), jnp.nan)
 
     return cached_jit(jax.vmap(run))
 
 
 @functools.cache
 def settle_program(functions: int, points: int):
-    """`(balance, shape, x, σ)`: the balanced shape with stuck dashpots, and whether Newton's method converged."""
+    """`(balance, shape, x, σ)`: the balanced shape with frozen dashpots, and whether Newton's method converged."""
     grid = grid_of(functions, points)
 
     def run(balance, shape, x, sigma):

@@ -2,7 +2,7 @@
 
 # the last change of Newton's method, of stretches, dashpots and of the pressure relative to its size: its square is the error left
 NEWTON_STEP = 1e-8
-# more steps than a good start needs: then the step in time is halved
+# more steps than a good start needs
 MOST_NEWTON_STEPS = 8
 # the error of a step that failed: it is tried again, a fifth as long
 FAILED_STEP = 1e3
@@ -26,7 +26,7 @@ LANDING_TOLERANCE = 1e-3
 LOAD_SCALE, LEAP_SCALE, VOLUME_SCALE = 0.05, 0.2, 0.5
 # golden sections of a step: to 1e-8 of it
 MOST_SECTIONS = 38
-# the error of a step by the embedded method, of order 3, beside tolerance^(2/3)
+# the error of a step by the embedded method, of order 3, beside tolerance^(2/3): by the ramps and loops of tests/data/rates.json
 TOLERANCE_SHARE = 0.2
-# k of the coordinate along the radius, which crowds points at the apex
+# k of the coordinate along the radius, which crowds points at the apex: by the folds and landings of tests/data/rates.json
 CROWDING = 1.5

@@ -1,4 +1,4 @@
-"""What a membrane followed in time is told as: events, the first snap, the steps."""
+"""Records of a run in time: events, the first snap, the steps."""
 
 import dataclasses
 import functools

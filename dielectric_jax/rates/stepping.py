@@ -2,7 +2,8 @@
 
 The film is a differential-algebraic system, x' = f(λ, x) m' under the balance. Its independent variable is σ = m + κ V, in which
 a snap, an instantaneous fold and a long rest are all smooth; the time m is an unknown, and with it the system has index 2. A
-collocation method of stage order 3 keeps its order 5 there, where singly diagonally implicit ones fall to 2 (benchmarks).
+collocation method of stage order 3 keeps its order 5 there. Singly diagonally implicit methods do not: Kvaerno's 5(4) located a fold to
+1e-5 at a tolerance of 1e-8, this method to 1e-10.
 """
 
 import typing

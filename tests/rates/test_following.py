@@ -53,7 +53,7 @@ def ramps():
 
 
 def test_ramps(ramps):
-    """Instantaneous folds and landings at stuck dashpots, or the fastest point of a creep-through."""
+    """Instantaneous folds and landings at frozen dashpots, or the fastest point of a creep-through."""
     for item, run in ramps:
         known = item["result"]
         if "fold" in known:
@@ -81,7 +81,7 @@ def test_pictures(ramps):
     item, run = next((i, r) for i, r in ramps if i["scene"] == {"material": "M1", "pressure": 1.82, "rate": 0.01})
     ax = dj.plot.plot_runs([run], bounds=rates.bounds(scene_of(item["scene"])), labels=["0.01"])
     assert [line.get_linestyle() for line in ax.lines] == ["-", "-", ":", "-"]
-    assert [t.get_text() for t in ax.get_legend().get_texts()] == ["at rest", "dashpots stuck", "0.01"]
+    assert [t.get_text() for t in ax.get_legend().get_texts()] == ["at rest", "dashpots frozen", "0.01"]
     assert len(dj.plot.plot_courses(run).axes) == 3
 
 
@@ -119,7 +119,7 @@ def test_loops():
 
 @pytest.mark.parametrize("item", items("limits")[:2], ids=lambda i: str(i["scene"]))
 def test_bounds(item):
-    """The fold at rest, and that at stuck dashpots."""
+    """The fold at rest, and that at frozen dashpots."""
     slow, fast = rates.bounds(scene_of(item["scene"]))
     assert slow.ramp()["snap"][0].state.voltage == pytest.approx(
         item["result"]["equilibrium_fold"]["phi"]["value"], rel=1e-9
@@ -147,6 +147,40 @@ def test_an_elastic_film_knows_no_rate():
         state = ramp[kind][0].state
         assert run.event(mine).voltage == pytest.approx(state.voltage, rel=1e-10)
         assert run.event(mine).volume == pytest.approx(state.volume, rel=1e-9)
+
+
+@pytest.mark.parametrize("volume", [475.0, 1600.0])
+def test_the_way_back_of_an_elastic_film(volume):
+    """Under a voltage that rises and falls the film snaps back, or stays, as the diagram says: both ways of asking."""
+    elastic = dj.Scene(dj.Membrane(dj.Gent(270.0)), dj.Chamber(volume=volume, initial_volume=2.42))
+    start, *down = (e for e in dj.voltage_volume(elastic).events if e.direction == "down")
+    turn = rates.Triangle(0.0, start.state.voltage, 0.0, rate=1.0)
+    run = rates.follow(elastic, voltage=turn, tolerance=1e-8)
+    # the way up has a fold and a landing too
+    mine = [e for e in run.events if e.kind in ("instantaneous_fold", "landing", "end")][2:]
+    assert [e.kind for e in mine] == [{"snap_back": "instantaneous_fold"}.get(e.event.name, e.event.name) for e in down]
+    assert (len(mine) == 3) == (volume == 475.0)
+    for own, known in zip(mine, (e.state for e in down), strict=True):
+        assert own.voltage == pytest.approx(known.voltage, rel=1e-9, abs=1e-9)
+        assert own.volume == pytest.approx(known.volume, rel=1e-7)
+
+
+def test_a_pressure_that_rises():
+    """An elastic film jumps at the peak of its pressure."""
+    film = dj.Membrane(dj.Gent(270.0))
+    run = rates.follow(film, pressure=rates.Ramp(rate=0.1, start=0.5), tolerance=1e-8)
+    assert run.snap.at.pressure == pytest.approx(1.908684829414, rel=1e-11)
+    beyond = dj.equilibrium(film, pressure=run.snap.at.pressure * (1 + 1e-12), all=True)[-1]
+    assert run.snap.landing.volume == pytest.approx(beyond.volume, rel=1e-6)
+
+
+def test_alone_and_side_by_side(ramps):
+    """A scene that is followed alone does what it does beside others."""
+    item, beside = next((i, r) for i, r in ramps if i["scene"] == {"material": "M4", "pressure": 1.82, "rate": 0.1})
+    alone = rates.follow(scene_of(item["scene"]), voltage=rates.Ramp(rate=0.1), tolerance=1e-8)
+    assert [e.kind for e in alone.events] == [e.kind for e in beside.events]
+    assert alone.snap.at.voltage == pytest.approx(beside.snap.at.voltage, rel=1e-12)
+    assert alone.snap.landing.volume == pytest.approx(beside.snap.landing.volume, rel=1e-9)
 
 
 def test_a_flat_film_goes_slack():
