@@ -16,7 +16,7 @@ from .mode_points import NOT_DECIDED, loss_at
 from .resolution import MOST_JUMPS, SAME_STRETCH
 from .states import states_of
 
-__all__ = ["ENDS", "LOSSES", "Step", "Stop", "build_ramp", "build_way_back", "flat_ramp", "follow"]
+__all__ = ["ENDS", "LOSSES", "NOT_LOCATED", "Step", "Stop", "build_ramp", "build_way_back", "flat_ramp", "follow"]
 
 #: why the area strain is taken where it is, and the way of ending that it stands for
 ENDS = {
@@ -27,6 +27,14 @@ ENDS = {
 }
 #: how a ramp ends where the membrane loses its axisymmetry, where that is asked
 LOSSES = {PointKind.hoop_tension_loss: "wrinkles", PointKind.mode: "bulges"}
+
+
+#: why a ramp ends at a fold beside a cusp, whose landing is there but too near to tell from the fold
+NOT_LOCATED = "landing not located"
+
+
+class LandingNotLocated(Exception):
+    """A stable state at a fold's control was seen and not located, and it may be the landing."""
 
 
 class Stop(typing.NamedTuple):
@@ -56,7 +64,7 @@ class Branches(typing.Protocol):
         ...
 
     def landing(self, fold: Stop) -> typing.Any:
-        """The stable state at a fold's control nearest in volume in the direction of the jump, or None."""
+        """The stable state at a fold's control nearest in volume in the direction of the jump, or None. Raises `LandingNotLocated`."""
         ...
 
     def is_broken(self, landing) -> bool:
@@ -85,7 +93,10 @@ def follow(branches: Branches, here, rising: bool, most: int = MOST_JUMPS) -> li
         if stop.kind in LOSSES:
             return [*steps, Step(RampEvent.end, stop.at, LOSSES[stop.kind])]
         steps.append(Step(jump, stop.at))
-        here = branches.landing(stop)
+        try:
+            here = branches.landing(stop)
+        except LandingNotLocated:
+            return [*steps, Step(RampEvent.end, stop.at, NOT_LOCATED)]
         if here is None:
             return [*steps, Step(RampEvent.no_landing, stop.at, "no landing")]
         steps.append(Step(RampEvent.landing, here))
@@ -133,17 +144,24 @@ class _OfDiagram:
     def landing(self, fold: Stop):
         """It lies in the scanned window, t ≤ 0.9: beyond, branches are followed only as far as their errors allow."""
         solved, at = self.solved, fold.at
-        curve = solved.curves[at.branch]
+        curve, condition = solved.curves[at.branch], solved.solver.condition
         i = int(np.clip(np.searchsorted(curve.position, at.position), 1, len(curve.position) - 1))
-        direction = fold.side * np.sign(np.diff(curve.points.place(solved.solver.condition)[i - 1 : i + 1])[0])
+        direction = fold.side * np.sign(np.diff(curve.points.place(condition)[i - 1 : i + 1])[0])
         material, found = solved.solver.membrane.material, []
+        known = len(solved.missed)
         for other in solved.states_at(solved.control_at(at)):
             jump = (solved.place(other) - solved.place(at)) * direction
             same = other.branch == at.branch and abs(other.position - at.position) < 1e-4
             scanned = other.point.u[2, 0] <= SCANNED_LOAD * largest_load(material, other.point.u[0])[0]
             if jump > 0 and not same and other.point.index[0] == 0 and scanned:
                 found.append((jump, other))
-        return min(found, key=lambda f: f[0])[1] if found else None
+        nearest, landing = min(found, key=lambda f: f[0], default=(math.inf, None))
+        for _, branch, n, _ in solved.missed[known:]:
+            ends = solved.curves[branch].points.take(slice(n, n + 2))
+            jumps = (ends.place(condition) - solved.place(at)) * direction
+            if 0 < jumps.max() and jumps.min() < nearest and 0 in ends.index and (branch, n + 1) != (at.branch, i):
+                raise LandingNotLocated
+        return landing
 
     def is_broken(self, landing) -> bool:
         return self.solved.state(landing).breakdown_ratio >= 1

@@ -9,7 +9,7 @@ from ..model import SCANNED_LOAD, FoldAhead, Outcome, PointKind, RampEvent, Regi
 from ..surface import Surface
 from .diagrams import Diagram, voltage_volume
 from .mode_points import NOT_DECIDED
-from .ramp import ENDS, LOSSES
+from .ramp import ENDS, LOSSES, NOT_LOCATED
 
 __all__ = ["regime_of", "regime_of_diagram"]
 
@@ -30,7 +30,7 @@ def regime_of_diagram(diagram: Diagram) -> Regime:
     """The regime that a voltage–volume diagram shows; `undetermined` where the window ends its ramp."""
     if (loss := diagram.area_strain_reason) in LOSSES.values():
         return Regime[str(loss)]
-    if loss == NOT_DECIDED:
+    if loss in (NOT_DECIDED, NOT_LOCATED):
         return Regime.not_decided
     up, down = diagram.ramp(), [e for e in diagram.events if e.direction == "down"]
     outcome = ENDS.get(up.area_strain_reason or "", Outcome.unresolved)

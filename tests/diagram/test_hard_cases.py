@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 
 import dielectric_jax as dj
-from benchmarks.acceptance import hard_cases
+from benchmarks.acceptance import hard_cases, parameters
 from benchmarks.truth import contours as contour_truth
 from benchmarks.truth import extended_precision as truth
 from dielectric_jax import SceneError
 from dielectric_jax.model import Outcome
 from dielectric_jax.numerics import Code
+
+CUSP_RADIUS = 0.021873874899382924  # of the film of the scene of everything: above it the ramp snaps
 
 
 @pytest.mark.parametrize("number", hard_cases.CASES)
@@ -72,6 +74,17 @@ def test_folds_about_the_middle_of_two_rows():
     ramps = dj.diagram.chamber_ramps(hard_cases.surface_of(), volumes, hard_cases.FILLING)
     decided = ramps.outcome != Outcome.unresolved
     assert (ramps.snaps[decided] == 1).all() and decided.any()
+
+
+def test_a_landing_too_near_to_its_fold():
+    """Beyond a cusp the ramp snaps and lands beside the fold; where the landing is lost in rounding, it is not denied."""
+    scene = parameters.scene_of_everything()
+    reasons = [
+        dj.voltage_volume(scene.replace(radius=CUSP_RADIUS * (1 + beyond))).area_strain_reason
+        for beyond in (1e-7, 1e-6)
+    ]
+    assert reasons == ["landing not located", "breakdown on the branch"]
+    assert dj.regime_of(scene.replace(radius=CUSP_RADIUS * (1 + 1e-7))).name == "not_decided"
 
 
 def test_the_truth_of_contours():
