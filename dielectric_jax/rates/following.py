@@ -1,35 +1,19 @@
 """The membrane in time: legs of a protocol, jumps at instantaneous folds, and what happens."""
 
-import dataclasses
 import math
 import typing
 from collections.abc import Sequence
 
-import jax
-import numpy as np
-
-from ..diagram import Diagram, equilibrium, voltage_volume
-from ..model import (
-    Chamber,
-    ConstantPressure,
-    LoadingCondition,
-    Membrane,
-    PrescribedVolume,
-    Scene,
-    State,
-    as_scalar,
-    other_loading,
-    profile,
-    spring_and_branches,
-)
-from ..numerics import Code, SceneError, check_between, shown
-from .balance import Grid, Shape
+from ..diagram import Diagram, voltage_volume
+from ..model import Membrane, Scene, as_scalar
+from ..numerics import check_between, shown
 from .passages import Asking, Now, Passed, Setting, passed
+from .phases import Phase, begun, phases_of, scale_of, setting_of
 from .programs import Seen
-from .protocols import Leg, Linear, legs_of
-from .requests import Request, serve
-from .resolution import LANDING_TOLERANCE, LEAP_SCALE, LOAD_SCALE, MESHES, MOST_JUMPS, TOLERANCE_SHARE, VOLUME_SCALE
-from .runs import Run, at_rest, at_start, dataset_of, event_of, slopes_of
+from .protocols import Linear, legs_of
+from .requests import serve
+from .resolution import LANDING_TOLERANCE, MESHES, MOST_JUMPS, TOLERANCE_SHARE, VOLUME_SCALE
+from .runs import Run, at_rest, dataset_of, event_of, slopes_of
 
 __all__ = ["bounds", "follow"]
 
@@ -44,119 +28,14 @@ _REASONS = {
 }
 
 
-def _start_state(scene: Scene | Membrane, membrane: Membrane, values: dict) -> State:
-    """The elastic state from which a run starts, at zero voltage."""
-    for name in ("volume", "pressure"):
-        if name in values:
-            return equilibrium(membrane, **{name: values[name]})
-    if not isinstance(scene, Scene):
-        raise ValueError("`scene` must be a Scene unless volume or pressure is given, but is a Membrane.")
-    loading = scene.loading
-    if isinstance(loading, ConstantPressure):
-        return equilibrium(membrane, pressure=float(loading.pressure))
-    if isinstance(loading, PrescribedVolume):
-        return equilibrium(membrane, volume=float(loading.volume))
-    if not isinstance(loading, Chamber):
-        raise other_loading(loading, Chamber, ConstantPressure, PrescribedVolume)
-    if loading.initial_volume is not None:
-        return equilibrium(membrane, volume=float(loading.initial_volume))
-    return equilibrium(membrane, pressure=float(typing.cast(typing.Any, loading.initial_pressure)))
-
-
-def _trial(membrane: Membrane, state: State, grid: Grid) -> Shape:
-    """The shape of an equilibrium on a grid, nearly."""
-    own = profile(membrane, state)
-    radius = np.sqrt(grid.s)
-    a = np.interp(radius, own.radius, own.stretch_2)
-    rise = np.interp(radius, own.radius, own.stretch_1 * np.sin(own.theta))
-    coefficients = np.linalg.lstsq(grid.functions[0], a - float(membrane.prestretch), rcond=None)[0]
-    return Shape(coefficients, rise / (2 * radius), float(state.pressure), 0.0)
-
-
-def _begun(setting: Setting, start: str, values: dict) -> Asking[tuple[Setting, Now]]:
-    """Where a run starts: relaxed, the branches carry nothing; fresh, the dashpots have not moved yet."""
-    branches = spring_and_branches(setting.membrane.material)[1]
-    elastic = at_start(setting.membrane, start)
-    state = _start_state(setting.scene, elastic, {n: v for n, v in values.items() if n != "voltage"})
-    # a flat film has no volume that depends on its pressure
-    given = "pressure" if state.pressure == 0 else "volume"
-    held = {"voltage": Linear(0.0, 0.0, 0.0), given: Linear(float(getattr(state, given)), 0.0, 0.0)}
-    x = np.zeros((len(branches), 2, len(setting.grid.s)))
-    balance = setting.balance(held, flows=False, kappa=0.0)
-    if start == "relaxed":
-        balance = dataclasses.replace(balance, branches=())
-    trial = _trial(elastic, state, setting.grid)
-    shape, logs, good = yield Request("settle", setting.mesh, (balance, trial, x[: len(balance.branches)], 0.0))
-    if not good:
-        raise SceneError(Code.not_converged)
-    condition = _condition(setting.scene, float(shape.pressure), state.volume)
-    x = np.broadcast_to(logs, x.shape).copy() if start == "relaxed" else x
-    return setting._replace(condition=condition), Now(shape, x)
-
-
-def _condition(scene: Scene | Membrane, pressure: float, volume: float) -> LoadingCondition:
-    """The condition of the loading, with the filling of a chamber at the start."""
-    loading = scene.loading if isinstance(scene, Scene) else ConstantPressure(pressure)
-    return jax.tree.map(float, loading.condition(*((pressure, volume) if isinstance(loading, Chamber) else ())))
-
-
-class _Phase(typing.NamedTuple):
-    """A part of a run with smooth courses of what is prescribed, from m = `begin` to `end`; in a "leap" m is no time.
-
-    `falls` says whether what drives the run is held after it has leapt down.
-    """
-
-    kind: str
-    courses: dict
-    begin: float
-    end: float
-    falls: bool = False
-
-
-def _phases(legs: dict[str, list[Leg]], driven: str) -> list[_Phase]:
-    """The legs in which every quantity has one course, and before each the leap to its first values."""
-    last = min(own[-1].end for own in legs.values())
-    ends = sorted({leg.end for own in legs.values() for leg in own if leg.end <= last})
-    found: list[_Phase] = []
-    values, begin = {n: 0.0 if n == "voltage" else own[0].at(0.0) for n, own in legs.items()}, 0.0
-    for end in ends:
-        courses = {n: next(leg.course for leg in own if leg.end >= end) for n, own in legs.items()}
-        target = {n: float(c(begin)) for n, c in courses.items()}
-        if any(not math.isclose(target[n], values[n], rel_tol=1e-12, abs_tol=1e-300) for n in target):
-            leaps = {n: Linear(values[n], target[n] - values[n], 0.0) for n in target}
-            found.append(_Phase("leap", leaps, 0.0, 1.0))
-        still = all(isinstance(c, Linear) and not c.rate for c in courses.values())
-        falls = abs(target[driven]) < abs(values[driven])
-        found.append(_Phase("hold" if still else "flow", courses, begin, end, falls))
-        values = {n: float(c(end)) for n, c in courses.items()} if math.isfinite(end) else target
-        begin = end
-    return found
-
-
-def _scale(setting: Setting, phase: _Phase, moment: float) -> tuple[float, float]:
-    """κ of a phase, and its unit of σ: the time in which something changes, by the way in which the volume goes."""
-    name = setting.driven
-    course = phase.courses[name]
-    value = float(course(moment))
-    if phase.kind == "leap":
-        return math.copysign(LEAP_SCALE, abs(float(course(1.0))) - abs(float(course(0.0)))), LEAP_SCALE
-    rate = float(course.rate) if isinstance(course, Linear) else float(jax.grad(course)(moment))
-    if not rate:
-        times = [float(b.relaxation_time) for b in spring_and_branches(setting.membrane.material)[1]]
-        unit = max(times, default=1.0) / 2
-        return (-unit if phase.falls else unit), unit
-    unit = (LOAD_SCALE if name == "voltage" else LEAP_SCALE) / abs(rate)
-    return math.copysign(unit, rate * (value or rate) if name == "voltage" else rate), unit
-
-
-def _jumped(setting: Setting, now: Now, phase: _Phase, moment: float) -> Asking[Passed]:
+def _jumped(setting: Setting, now: Now, phase: Phase, moment: float) -> Asking[Passed]:
     """From an instantaneous fold to the state at the same voltage (or pressure) and dashpots on which the jump lands.
 
     At the fold κ dV/dσ = 1: the volume goes the way that the sign of κ says. There q(V) turns back to its value from below if it
     rises, from above if it falls.
     """
     driver = "pressure" if setting.driven == "pressure" else "voltage"
-    sense = math.copysign(1.0, _scale(setting, phase, moment)[0])
+    sense = math.copysign(1.0, scale_of(setting, phase, moment)[0])
     level = sense * float(phase.courses[driver](moment)) ** (2 if driver == "voltage" else 1)
     frozen = {name: Linear(float(course(moment)), 0.0, 0.0) for name, course in phase.courses.items()}
     start = Now(now.shape._replace(moment=level), now.x)
@@ -164,7 +43,7 @@ def _jumped(setting: Setting, now: Now, phase: _Phase, moment: float) -> Asking[
 
 
 def _snapped(
-    setting: Setting, now: Now, phase: _Phase, at: tuple[float, float], seen: Seen, jumps: int
+    setting: Setting, now: Now, phase: Phase, at: tuple[float, float], seen: Seen, jumps: int
 ) -> Asking[tuple[str, Seen]]:
     """Notes an instantaneous fold at (m, time) and jumps from it.
 
@@ -192,12 +71,12 @@ def _snapped(
 
 def _followed(setting: Setting, legs: dict, start: str) -> Asking[Run]:
     """A run, as a generator of requests."""
-    setting, now = yield from _begun(setting, start, {n: own[0].at(0.0) for n, own in legs.items()})
+    setting, now = yield from begun(setting, start, {n: own[0].at(0.0) for n, own in legs.items()})
     time, jumps, seen, reason = 0.0, 0, None, ""
-    for phase in _phases(legs, setting.driven):
+    for phase in phases_of(legs, setting.driven):
         moment = phase.begin
         while True:
-            kappa, unit = _scale(setting, phase, moment)
+            kappa, unit = scale_of(setting, phase, moment)
             balance = setting.balance(phase.courses, flows=phase.kind != "leap", kappa=kappa)
             now.shape = now.shape._replace(moment=moment)
             found = yield from passed(setting, now, balance, phase.end, phase.kind, unit)
@@ -238,7 +117,7 @@ def _run(setting: Setting, now: Now, seen: Seen | None, time: float, reason: str
 
 def _frozen(setting: Setting, start: str) -> Asking[Run]:
     """The equilibria with the dashpots where they are at the start, by rising volume, up to breakdown or the loss of hoop tension."""
-    setting, now = yield from _begun(setting, start, {})
+    setting, now = yield from begun(setting, start, {})
     balance = setting.free({}, "voltage", 1.0)
     found = yield from passed(setting, now, balance, math.inf, "frozen", VOLUME_SCALE)
     now.events.insert(0, event_of("start", found.rows[0], 0.0))
@@ -321,13 +200,7 @@ def _run_of(scene, legs: dict, start: str, mesh: tuple[int, int], tolerance: flo
     def again() -> Run:
         return serve([_run_of(scene, legs, start, MESHES[1], tolerance / 30)])[0]
 
-    return _followed(_setting(scene, legs, mesh, TOLERANCE_SHARE * tolerance ** (2 / 3), again), legs, start)
-
-
-def _setting(scene, legs: dict, mesh: tuple[int, int], tolerance: float, again) -> Setting:
-    membrane = scene.membrane if isinstance(scene, Scene) else scene
-    driven = next((n for n in ("volume", "pressure") if n in legs), "voltage")
-    return Setting(scene, membrane, _condition(membrane, 1.0, 1.0), driven, mesh, tolerance, again)
+    return _followed(setting_of(scene, legs, mesh, TOLERANCE_SHARE * tolerance ** (2 / 3), again), legs, start)
 
 
 def bounds(scene: Scene, *, start: str = "relaxed") -> tuple[Diagram, Run]:
@@ -349,7 +222,7 @@ def bounds(scene: Scene, *, start: str = "relaxed") -> tuple[Diagram, Run]:
         raise ValueError(f'`start` must be "relaxed" or "fresh", but is {start!r}.')
 
     def again() -> Run:
-        return serve([_frozen(_setting(scene, {}, MESHES[1], LANDING_TOLERANCE / 30, again), start)])[0]
+        return serve([_frozen(setting_of(scene, {}, MESHES[1], LANDING_TOLERANCE / 30, again), start)])[0]
 
-    fast = serve([_frozen(_setting(scene, {}, MESHES[0], LANDING_TOLERANCE, again), start)])[0]
+    fast = serve([_frozen(setting_of(scene, {}, MESHES[0], LANDING_TOLERANCE, again), start)])[0]
     return voltage_volume(at_rest(scene)), fast

@@ -1,0 +1,143 @@
+"""How a run begins, and the phases of its protocol."""
+
+import dataclasses
+import math
+import typing
+
+import jax
+import numpy as np
+
+from ..diagram import equilibrium
+from ..model import (
+    Chamber,
+    ConstantPressure,
+    LoadingCondition,
+    Membrane,
+    PrescribedVolume,
+    Scene,
+    State,
+    other_loading,
+    profile,
+    spring_and_branches,
+)
+from ..numerics import Code, SceneError
+from .balance import Grid, Shape
+from .passages import Asking, Now, Setting
+from .protocols import Leg, Linear
+from .requests import Request
+from .resolution import LEAP_SCALE, LOAD_SCALE
+from .runs import at_start
+
+__all__ = ["Phase", "begun", "phases_of", "scale_of", "setting_of"]
+
+
+def _start_state(scene: Scene | Membrane, membrane: Membrane, values: dict) -> State:
+    """The elastic state from which a run starts, at zero voltage."""
+    for name in ("volume", "pressure"):
+        if name in values:
+            return equilibrium(membrane, **{name: values[name]})
+    if not isinstance(scene, Scene):
+        raise ValueError("`scene` must be a Scene unless volume or pressure is given, but is a Membrane.")
+    loading = scene.loading
+    if isinstance(loading, ConstantPressure):
+        return equilibrium(membrane, pressure=float(loading.pressure))
+    if isinstance(loading, PrescribedVolume):
+        return equilibrium(membrane, volume=float(loading.volume))
+    if not isinstance(loading, Chamber):
+        raise other_loading(loading, Chamber, ConstantPressure, PrescribedVolume)
+    if loading.initial_volume is not None:
+        return equilibrium(membrane, volume=float(loading.initial_volume))
+    return equilibrium(membrane, pressure=float(typing.cast(typing.Any, loading.initial_pressure)))
+
+
+def _trial(membrane: Membrane, state: State, grid: Grid) -> Shape:
+    """The shape of an equilibrium on a grid, nearly."""
+    own = profile(membrane, state)
+    radius = np.sqrt(grid.s)
+    a = np.interp(radius, own.radius, own.stretch_2)
+    rise = np.interp(radius, own.radius, own.stretch_1 * np.sin(own.theta))
+    coefficients = np.linalg.lstsq(grid.functions[0], a - float(membrane.prestretch), rcond=None)[0]
+    return Shape(coefficients, rise / (2 * radius), float(state.pressure), 0.0)
+
+
+def begun(setting: Setting, start: str, values: dict) -> Asking[tuple[Setting, Now]]:
+    """Where a run starts: relaxed, the branches carry nothing; fresh, the dashpots have not moved yet."""
+    branches = spring_and_branches(setting.membrane.material)[1]
+    elastic = at_start(setting.membrane, start)
+    state = _start_state(setting.scene, elastic, {n: v for n, v in values.items() if n != "voltage"})
+    # a flat film has no volume that depends on its pressure
+    given = "pressure" if state.pressure == 0 else "volume"
+    held = {"voltage": Linear(0.0, 0.0, 0.0), given: Linear(float(getattr(state, given)), 0.0, 0.0)}
+    x = np.zeros((len(branches), 2, len(setting.grid.s)))
+    balance = setting.balance(held, flows=False, kappa=0.0)
+    if start == "relaxed":
+        balance = dataclasses.replace(balance, branches=())
+    trial = _trial(elastic, state, setting.grid)
+    shape, logs, good = yield Request("settle", setting.mesh, (balance, trial, x[: len(balance.branches)], 0.0))
+    if not good:
+        raise SceneError(Code.not_converged)
+    condition = _condition(setting.scene, float(shape.pressure), state.volume)
+    x = np.broadcast_to(logs, x.shape).copy() if start == "relaxed" else x
+    return setting._replace(condition=condition), Now(shape, x)
+
+
+def _condition(scene: Scene | Membrane, pressure: float, volume: float) -> LoadingCondition:
+    """The condition of the loading, with the filling of a chamber at the start."""
+    loading = scene.loading if isinstance(scene, Scene) else ConstantPressure(pressure)
+    return jax.tree.map(float, loading.condition(*((pressure, volume) if isinstance(loading, Chamber) else ())))
+
+
+class Phase(typing.NamedTuple):
+    """A part of a run with smooth courses of what is prescribed, from m = `begin` to `end`; in a "leap" m is no time.
+
+    `falls` says whether what drives the run is held after it has leapt down.
+    """
+
+    kind: str
+    courses: dict
+    begin: float
+    end: float
+    falls: bool = False
+
+
+def phases_of(legs: dict[str, list[Leg]], driven: str) -> list[Phase]:
+    """The legs in which every quantity has one course, and before each the leap to its first values."""
+    last = min(own[-1].end for own in legs.values())
+    ends = sorted({leg.end for own in legs.values() for leg in own if leg.end <= last})
+    found: list[Phase] = []
+    values, begin = {n: 0.0 if n == "voltage" else own[0].at(0.0) for n, own in legs.items()}, 0.0
+    for end in ends:
+        courses = {n: next(leg.course for leg in own if leg.end >= end) for n, own in legs.items()}
+        target = {n: float(c(begin)) for n, c in courses.items()}
+        if any(not math.isclose(target[n], values[n], rel_tol=1e-12, abs_tol=1e-300) for n in target):
+            leaps = {n: Linear(values[n], target[n] - values[n], 0.0) for n in target}
+            found.append(Phase("leap", leaps, 0.0, 1.0))
+        still = all(isinstance(c, Linear) and not c.rate for c in courses.values())
+        falls = abs(target[driven]) < abs(values[driven])
+        found.append(Phase("hold" if still else "flow", courses, begin, end, falls))
+        values = {n: float(c(end)) for n, c in courses.items()} if math.isfinite(end) else target
+        begin = end
+    return found
+
+
+def scale_of(setting: Setting, phase: Phase, moment: float) -> tuple[float, float]:
+    """κ of a phase, and its unit of σ: the time in which something changes, by the way in which the volume goes."""
+    name = setting.driven
+    course = phase.courses[name]
+    value = float(course(moment))
+    if phase.kind == "leap":
+        return math.copysign(LEAP_SCALE, abs(float(course(1.0))) - abs(float(course(0.0)))), LEAP_SCALE
+    rate = float(course.rate) if isinstance(course, Linear) else float(jax.grad(course)(moment))
+    if not rate:
+        times = [float(b.relaxation_time) for b in spring_and_branches(setting.membrane.material)[1]]
+        unit = max(times, default=1.0) / 2
+        return (-unit if phase.falls else unit), unit
+    unit = (LOAD_SCALE if name == "voltage" else LEAP_SCALE) / abs(rate)
+    return math.copysign(unit, rate * (value or rate) if name == "voltage" else rate), unit
+
+
+def setting_of(scene, legs: dict, mesh: tuple[int, int], tolerance: float, again) -> Setting:
+    """What a run of these legs has throughout."""
+    membrane = scene.membrane if isinstance(scene, Scene) else scene
+    driven = next((n for n in ("volume", "pressure") if n in legs), "voltage")
+    return Setting(scene, membrane, _condition(membrane, 1.0, 1.0), driven, mesh, tolerance, again)
