@@ -43,6 +43,7 @@ class Code(enum.IntEnum):
     flat_film = 28
     other_membrane = 29
     no_neutral_mode = 30
+    no_jump = 31
 
     @property
     def sentence(self) -> str:
@@ -94,6 +95,9 @@ _SENTENCES = {
     Code.no_snap_back: "The ramp down meets no fold above zero voltage, so there is no snap-back.",
     Code.no_pressure_fold: "The pressure-volume curve at this voltage has no such fold in the window.",
     Code.no_neutral_mode: "No mode of this number turns neutral on a stable state in the window.",
+    Code.no_jump: (
+        "The membrane does not come to an instantaneous fold: it creeps through, rests or breaks down; `follow` shows which."
+    ),
     Code.no_zero_voltage_state: "The window holds no such state at zero voltage.",
     Code.no_bistability: "No chamber, however large, has a second stable state at zero voltage with this filling.",
     Code.no_cusp: "No two folds merge within the range that was searched; try another range, `within`.",

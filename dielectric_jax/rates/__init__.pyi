@@ -1,5 +1,23 @@
+from .events import delay, peak_pressure, snap_voltage
 from .following import bounds, follow
 from .protocols import AbstractProtocol, Hold, Ramp, Steps, Triangle
 from .runs import Run, RunEvent, Snap
+from .slow_passage import SlowPassage, slow_passage
 
-__all__ = ["AbstractProtocol", "Hold", "Ramp", "Run", "RunEvent", "Snap", "Steps", "Triangle", "bounds", "follow"]
+__all__ = [
+    "AbstractProtocol",
+    "Hold",
+    "Ramp",
+    "Run",
+    "RunEvent",
+    "SlowPassage",
+    "Snap",
+    "Steps",
+    "Triangle",
+    "bounds",
+    "delay",
+    "follow",
+    "peak_pressure",
+    "slow_passage",
+    "snap_voltage",
+]

@@ -29,6 +29,7 @@ from ..model import AbstractMaterial, LoadingCondition, Maxwell, capacitance, st
 from .resolution import CROWDING, MOST_NEWTON_STEPS, NEWTON_STEP
 
 __all__ = [
+    "ONE",
     "Balance",
     "Grid",
     "Shape",
@@ -36,8 +37,10 @@ __all__ = [
     "Step",
     "balanced",
     "grid_of",
+    "linearised",
     "log_stress",
     "newton",
+    "solution_of",
     "stretches",
     "tangent",
     "volume_of",
@@ -181,7 +184,10 @@ def _branch(branch: Maxwell, logs, x, begin, moved, flows, inverse) -> tuple[_St
     """
     stages = len(logs)
     value, change = log_stress(branch.material, jnp.moveaxis(logs - x, 1, 0), 0.0)
-    value, change = jnp.moveaxis(value, 1, 0), jnp.moveaxis(change, 2, 0)  # (S, 2, G), (S, 2, 2, G)
+    value, change = (
+        jnp.moveaxis(value, 1, 0),
+        jnp.moveaxis(jax.lax.stop_gradient(change), 2, 0),
+    )  # (S, 2, G), (S, 2, 2, G)
     rate = jnp.asarray(FLOW) / branch.relaxation_time
     flowing = flows * jnp.einsum("ij,sjg->sig", rate, value)
     implicit = flows * moved[:, None, None, None] * jnp.einsum("ij,sjkg->sikg", rate, change)
@@ -238,13 +244,18 @@ def _energy_forms(balance: Balance, shape: Shape, stress: _Stress, grid: Grid):
 
 
 def linearised(balance: Balance, shape: Shape, x, step: Step, grid: Grid) -> _Linear:
-    """The equations at a trial, shapes of S stages and x (S, K, 2, G), condensed."""
+    """The equations at a trial, shapes of S stages and x (S, K, 2, G), condensed.
+
+    For `solution_of` at a root, whose derivatives need none of the matrix, its stiffnesses have no derivatives.
+    """
     stages = len(shape.coefficients)
     a, _, l1 = stretches(balance, shape, grid)
     logs = jnp.stack([jnp.log(l1), jnp.log(jnp.abs(a))], 1)
     q, q_rate = jax.jvp(balance.load, (shape.moment,), (jnp.ones_like(shape.moment),))
     value, change = log_stress(balance.spring, jnp.moveaxis(logs, 1, 0), q[:, None])
-    by_load = jnp.moveaxis(_load_stress(balance.spring, jnp.moveaxis(logs, 1, 0)), 1, 0) * q_rate[:, None, None]
+    change = jax.lax.stop_gradient(change)
+    by_load = jnp.moveaxis(_load_stress(balance.spring, jnp.moveaxis(jax.lax.stop_gradient(logs), 1, 0)), 1, 0)
+    by_load *= q_rate[:, None, None]
     stress = _Stress(
         jnp.moveaxis(value, 1, 0),
         _on_diagonal(jnp.moveaxis(change, 2, 0)),
@@ -326,6 +337,11 @@ def _expanded(linear: _Linear, found: jax.Array, grid: Grid, residual: float) ->
     return Shape(coefficients, slope, p, m), jnp.stack(dx, axis=1) if dx else empty
 
 
+def solution_of(linear: _Linear, grid: Grid) -> tuple[Shape, jax.Array]:
+    """The changes of shapes and dashpots by one step of Newton's method."""
+    return _expanded(linear, jnp.linalg.solve(linear.matrix, -linear.residual), grid, 1.0)
+
+
 class Solved(typing.NamedTuple):
     """Balanced shapes of the stages, their dashpots (S, K, 2, G), whether Newton's method converged, and in how many steps."""
 
@@ -344,9 +360,7 @@ def newton(balance: Balance, shape: Shape, x, step: Step, grid: Grid) -> Solved:
 
     def improve(carry):
         shape, x, _, count = carry
-        linear = linearised(balance, shape, x, step, grid)
-        found = jnp.linalg.solve(linear.matrix, -linear.residual)
-        change, dx = _expanded(linear, found, grid, 1.0)
+        change, dx = solution_of(linearised(balance, shape, x, step, grid), grid)
         new = jax.tree.map(jnp.add, shape, change)
         moved = jnp.max(jnp.abs(change.coefficients @ grid.functions[0].T))
         moved += jnp.max(jnp.abs(change.pressure) / (0.1 + jnp.abs(shape.pressure)))
@@ -358,7 +372,7 @@ def newton(balance: Balance, shape: Shape, x, step: Step, grid: Grid) -> Solved:
     return Solved(shape, x, last <= NEWTON_STEP, count)
 
 
-_ONE = np.ones((1, 1))
+ONE = np.ones((1, 1))
 
 
 def _staged(tree):
@@ -367,13 +381,13 @@ def _staged(tree):
 
 def balanced(balance: Balance, shape: Shape, x, sigma, grid: Grid) -> Solved:
     """The shape at σ with dashpots x (K, 2, G) where they are; `balance.flows` is to be 0."""
-    found = newton(balance, _staged(shape), x[None], Step(x, shape.moment, jnp.reshape(sigma, (1,)), _ONE), grid)
+    found = newton(balance, _staged(shape), x[None], Step(x, shape.moment, jnp.reshape(sigma, (1,)), ONE), grid)
     return found._replace(shape=jax.tree.map(lambda v: v[0], found.shape), x=x)
 
 
 def tangent(balance: Balance, shape: Shape, x, grid: Grid) -> tuple[Shape, jax.Array]:
     """The derivatives of a balanced shape and of its dashpots by σ."""
-    step = Step(x, shape.moment, jnp.zeros(1), _ONE)
+    step = Step(x, shape.moment, jnp.zeros(1), ONE)
     linear = linearised(balance, _staged(shape), x[None], step, grid)
     right = jnp.zeros_like(linear.residual).at[-1].set(1.0)
     change, dx = _expanded(linear, jnp.linalg.solve(linear.matrix, right), grid, 0.0)

@@ -23,13 +23,15 @@ __all__ = ["Now", "Passed", "Setting", "passed"]
 T = typing.TypeVar("T")
 Asking: typing.TypeAlias = Generator[Request, typing.Any, T]
 
-# what is watched for, of `EVENTS`: while a value leaps, while it changes, while it is held, in a jump, and by rising volume
+# what is watched for, of `EVENTS`: while a value leaps, while it changes, while it is held, up to a peak of the pressure, in a
+# jump, and by rising volume
 _WATCHED = {
-    "leap": (1, 1, 1, 1, 0),
-    "flow": (1, 1, 1, 1, 0),
-    "hold": (1, 1, 1, 1, 1),
-    "jump": (0, 1, 0, 0, 0),
-    "frozen": (0, 0, 1, 1, 0),
+    "leap": (1, 1, 1, 1, 0, 0),
+    "flow": (1, 1, 1, 1, 0, 0),
+    "hold": (1, 1, 1, 1, 1, 0),
+    "rise": (1, 1, 1, 1, 0, 1),
+    "jump": (0, 1, 0, 0, 0, 0),
+    "frozen": (0, 0, 1, 1, 0, 0),
 }
 
 
@@ -77,13 +79,17 @@ class Setting(typing.NamedTuple):
 
 
 class Passed(typing.NamedTuple):
-    """How a leg ended: an event of `EVENTS`, "lost" or "unfinished"; the instant, what is seen of it, and of the steps."""
+    """How a leg ended: an event of `EVENTS`, "lost" or "unfinished"; the instant, what is seen of it, and of the steps.
+
+    `instants` are those from which the steps went, one fewer than `sigma`.
+    """
 
     event: str
     instant: Instant
     seen: Seen
     rows: list[Seen]
     sigma: list[float]
+    instants: list[Instant]
 
 
 @dataclasses.dataclass
@@ -117,7 +123,7 @@ class _Leg(typing.NamedTuple):
 
     @property
     def flows(self) -> bool:
-        return self.phase in ("flow", "hold")
+        return self.phase in ("flow", "hold", "rise")
 
 
 def _at(tree, k):
@@ -130,6 +136,7 @@ def passed(setting: Setting, now: Now, balance: Balance, limit: float, phase: st
     shape, x, work = now.shape, now.x, np.zeros(2)
     rows: list[Seen] = []
     sigmas: list[float] = []
+    instants: list[Instant] = []
     tolerance = setting.tolerance if leg.flows else LANDING_TOLERANCE
     energy = None
     for _ in range(MOST_CALLS):
@@ -147,6 +154,7 @@ def passed(setting: Setting, now: Now, balance: Balance, limit: float, phase: st
         again = int(bool(rows))  # a further call begins where the one before ended
         rows += [Seen(*(v[k] for v in seen)) for k in range(again, smooth)]
         sigmas += [float(s) for s in ts[again:smooth]]
+        instants += [_at(ys, k) for k in range(known - 1)]
         last = _at(ys, known - 1)
         if happened > 0 and known > 1:
             begin = _at(ys, known - 2)
@@ -155,15 +163,15 @@ def passed(setting: Setting, now: Now, balance: Balance, limit: float, phase: st
                 gained, dissipated, given = there.energy - energy, *instant.work
                 largest = max(abs(gained), abs(dissipated), abs(given), 1e-3)
                 now.defects.append(float(abs(gained + dissipated - given) / largest))
-            return Passed(event, instant, there, [*rows, there], [*sigmas, place])
+            return Passed(event, instant, there, [*rows, there], [*sigmas, place], instants)
         if happened > 0:  # at the start
             signs = np.where(leg.watched, signs_of(seen, limit, np)[-1], -np.inf)
             there = Seen(*(v[-1] for v in seen))
-            return Passed(EVENTS[int(np.argmax(signs))], last, there, [there], [sigma])
+            return Passed(EVENTS[int(np.argmax(signs))], last, there, [there], [sigma], [])
         if known < 2 or ts[known - 1] - ts[known - 2] < 1e-9 * unit:
-            return Passed("lost", last, rows[-1], rows, sigmas)
+            return Passed("lost", last, rows[-1], rows, sigmas, instants)
         shape, x, work = last.shape, last.x, last.work
-    return Passed("unfinished", last, rows[-1], rows, sigmas)
+    return Passed("unfinished", last, rows[-1], rows, sigmas, instants)
 
 
 def _located(setting: Setting, leg: _Leg, y0, ends, last: float) -> Asking[tuple[str, Instant, Seen, float]]:
@@ -204,7 +212,7 @@ def _noticed(setting: Setting, now: Now, leg: _Leg, ys, ts, seen: Seen) -> Askin
     That is the fastest point of an expansion, or the peaks of the pressure where the volume is prescribed, or those of the load
     by rising volume.
     """
-    if len(seen.time) < 2 or leg.phase in ("leap", "jump"):
+    if len(seen.time) < 2 or leg.phase in ("leap", "jump", "rise"):
         return
     if leg.phase == "frozen" or setting.driven == "volume":
         frozen = leg.phase == "frozen"

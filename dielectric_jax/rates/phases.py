@@ -28,7 +28,7 @@ from .requests import Request
 from .resolution import LEAP_SCALE, LOAD_SCALE
 from .runs import at_start
 
-__all__ = ["Phase", "begun", "phases_of", "scale_of", "setting_of"]
+__all__ = ["Phase", "begun", "phases_of", "scale_of", "setting_of", "trial_of"]
 
 
 def _start_state(scene: Scene | Membrane, membrane: Membrane, values: dict) -> State:
@@ -50,7 +50,7 @@ def _start_state(scene: Scene | Membrane, membrane: Membrane, values: dict) -> S
     return equilibrium(membrane, pressure=float(typing.cast(typing.Any, loading.initial_pressure)))
 
 
-def _trial(membrane: Membrane, state: State, grid: Grid) -> Shape:
+def trial_of(membrane: Membrane, state: State, grid: Grid) -> Shape:
     """The shape of an equilibrium on a grid, nearly."""
     own = profile(membrane, state)
     radius = np.sqrt(grid.s)
@@ -72,7 +72,7 @@ def begun(setting: Setting, start: str, values: dict) -> Asking[tuple[Setting, N
     balance = setting.balance(held, flows=False, kappa=0.0)
     if start == "relaxed":
         balance = dataclasses.replace(balance, branches=())
-    trial = _trial(elastic, state, setting.grid)
+    trial = trial_of(elastic, state, setting.grid)
     shape, logs, good = yield Request("settle", setting.mesh, (balance, trial, x[: len(balance.branches)], 0.0))
     if not good:
         raise SceneError(Code.not_converged)

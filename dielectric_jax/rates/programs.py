@@ -20,7 +20,7 @@ from .stepping import Instant, Radau5, advance, instant_of
 __all__ = ["EVENTS", "Film", "Seen", "Start", "evolve_program", "restep_program", "settle_program", "signs_of"]
 
 # what ends a leg, in the order of `Film.signs`
-EVENTS = ("fold", "end", "breakdown", "hoop_tension_loss", "at_rest")
+EVENTS = ("fold", "end", "breakdown", "hoop_tension_loss", "at_rest", "peak")
 
 
 class Seen(typing.NamedTuple):
@@ -44,10 +44,10 @@ class Seen(typing.NamedTuple):
 
 
 def signs_of(seen: Seen, end, xp):
-    """One number an event of `EVENTS`, (…, 5), positive once it has happened; `xp` is NumPy or jax.numpy."""
+    """One number an event of `EVENTS`, (…, 6), positive once it has happened; `xp` is NumPy or jax.numpy."""
     moving = xp.where(seen.time_rate > 0, seen.speed / xp.where(seen.time_rate > 0, seen.time_rate, 1.0), xp.inf)
     rows = [-seen.time_rate, seen.time - end, seen.breakdown_ratio - 1, -seen.hoop_tension, STOPPED - moving]
-    return xp.stack(rows, axis=-1)
+    return xp.stack([*rows, -seen.pressure_rate], axis=-1)
 
 
 @functools.cache
@@ -58,7 +58,7 @@ def _look(functions: int, points: int):
 
 
 class Start(typing.NamedTuple):
-    """A leg: the balance, where it begins (shape, dashpots, energy dissipated), where m ends, and what is watched (5,)."""
+    """A leg: the balance, where it begins (shape, dashpots, energy dissipated), where m ends, and what is watched (6,)."""
 
     balance: Balance
     shape: Shape

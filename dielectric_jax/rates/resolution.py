@@ -30,3 +30,5 @@ MOST_SECTIONS = 38
 TOLERANCE_SHARE = 0.2
 # k of the coordinate along the radius, which crowds points at the apex: by the folds and landings of tests/data/rates.json
 CROWDING = 1.5
+# steps of a run whose event is differentiated are padded to a multiple of this
+STEPS_OF_A_RECORD = 64
