@@ -14,7 +14,7 @@ from .balance import Balance, Grid, Shape, grid_of
 from .programs import EVENTS, Seen, Start, signs_of
 from .protocols import Linear
 from .requests import Request
-from .resolution import LANDING_TOLERANCE, MOST_CALLS, MOST_LOCATING, MOST_SECTIONS
+from .resolution import FIRST_STEP, LANDING_TOLERANCE, MOST_CALLS, MOST_SECTIONS
 from .runs import Row, Run, RunEvent, event_of
 from .stepping import Instant
 
@@ -133,7 +133,7 @@ def _at(tree, k):
 def passed(setting: Setting, now: Now, balance: Balance, limit: float, phase: str, unit: float) -> Asking[Passed]:
     """Follows a leg from `now` until something happens in it; `now.shape.moment` is where m begins."""
     leg = _Leg(balance, limit, phase, unit)
-    shape, x, work = now.shape, now.x, np.zeros(2)
+    shape, x, work, first = now.shape, now.x, np.zeros(2), FIRST_STEP * unit
     rows: list[Seen] = []
     sigmas: list[float] = []
     instants: list[Instant] = []
@@ -143,7 +143,7 @@ def passed(setting: Setting, now: Now, balance: Balance, limit: float, phase: st
         a = float(balance.prestretch) + setting.grid.functions[0] @ np.asarray(shape.coefficients)
         volume = np.pi * np.sum(setting.grid.weights * setting.grid.s * a**2 * shape.slope)
         sigma = float(balance.moment_weight * shape.moment + balance.volume_weight * volume)
-        start = Start(balance, shape, x, work, limit, leg.watched.astype(float), sigma, unit)
+        start = Start(balance, shape, x, work, limit, leg.watched.astype(float), sigma, unit, first)
         ys, ts, seen = yield Request("evolve", setting.mesh, (setting.membrane.breakdown, start), (tolerance,))
         known = int(np.sum(np.isfinite(ts)))
         seen = Seen(*(v[:known] for v in seen))
@@ -170,34 +170,18 @@ def passed(setting: Setting, now: Now, balance: Balance, limit: float, phase: st
             return Passed(EVENTS[int(np.argmax(signs))], last, there, [there], [sigma], [])
         if known < 2 or ts[known - 1] - ts[known - 2] < 1e-9 * unit:
             return Passed("lost", last, rows[-1], rows, sigmas, instants)
-        shape, x, work = last.shape, last.x, last.work
+        shape, x, work, first = last.shape, last.x, last.work, ts[known - 1] - ts[known - 2]
     return Passed("unfinished", last, rows[-1], rows, sigmas, instants)
 
 
 def _located(setting: Setting, leg: _Leg, y0, ends, last: float) -> Asking[tuple[str, Instant, Seen, float]]:
-    """The first event between two values of σ, and where it is, by the Illinois method on the largest of the watched signs."""
-    low, high = map(float, ends)
-    begin, found, side, below, above, middle = low, None, 0, None, last, high
-    for _ in range(MOST_LOCATING):
-        middle = (low + high) / 2 if below is None else (low * above - high * below) / (above - below)
-        margin = 1e-3 * (high - low)
-        middle = min(max(middle, low + margin), high - margin)
-        found = yield _restep(setting, leg, y0, begin, middle)
-        value = float(np.max(np.where(leg.watched, found[2], -np.inf)))
-        if math.isnan(value):  # a shorter step did not converge
-            return "lost", y0, Seen(*found[1]), begin
-        if abs(value) <= 1e-12 * max(last, 1.0) or high - low <= 1e-14 * abs(high):
-            break
-        # the value at an end that stays is halved, so that the other end moves too
-        if value < 0:
-            above = above / 2 if side < 0 else above
-            low, below, side = middle, value, -1
-        else:
-            below = below / 2 if below is not None and side > 0 else below
-            high, above, side = middle, value, 1
-    assert found is not None
-    signs = np.where(leg.watched, found[2], -np.inf)
-    return EVENTS[int(np.argmax(signs))], found[0], Seen(*found[1]), middle
+    """The first event between two values of σ, and where it is."""
+    watched = leg.watched.astype(float)
+    arguments = setting.membrane.breakdown, leg.balance, y0, np.asarray(ends), last, leg.limit, watched
+    instant, seen, signs, place = yield Request("locate", setting.mesh, arguments)
+    if not np.isfinite(signs).any():
+        return "lost", y0, Seen(*seen), float(ends[0])
+    return EVENTS[int(np.argmax(np.where(leg.watched, signs, -np.inf)))], instant, Seen(*seen), float(place)
 
 
 def _restep(setting: Setting, leg: _Leg, y0, begin: float, sigma: float) -> Request:

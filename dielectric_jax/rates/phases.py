@@ -1,19 +1,21 @@
 """How a run begins, and the phases of its protocol."""
 
 import dataclasses
+import functools
 import math
 import typing
 
 import jax
 import numpy as np
 
-from ..diagram import equilibrium
+from ..diagram import MembraneKey, equilibrium
 from ..model import (
     Chamber,
     ConstantPressure,
     LoadingCondition,
     Membrane,
     PrescribedVolume,
+    Profile,
     Scene,
     State,
     other_loading,
@@ -31,32 +33,38 @@ from .runs import at_start
 __all__ = ["Phase", "begun", "phases_of", "scale_of", "setting_of", "trial_of"]
 
 
-def _start_state(scene: Scene | Membrane, membrane: Membrane, values: dict) -> State:
-    """The elastic state from which a run starts, at zero voltage."""
+def _filling(scene: Scene | Membrane, values: dict) -> tuple[str, float]:
+    """What is given of the state from which a run starts: its volume or its pressure."""
     for name in ("volume", "pressure"):
         if name in values:
-            return equilibrium(membrane, **{name: values[name]})
+            return name, float(values[name])
     if not isinstance(scene, Scene):
         raise ValueError("`scene` must be a Scene unless volume or pressure is given, but is a Membrane.")
     loading = scene.loading
     if isinstance(loading, ConstantPressure):
-        return equilibrium(membrane, pressure=float(loading.pressure))
+        return "pressure", float(loading.pressure)
     if isinstance(loading, PrescribedVolume):
-        return equilibrium(membrane, volume=float(loading.volume))
+        return "volume", float(loading.volume)
     if not isinstance(loading, Chamber):
         raise other_loading(loading, Chamber, ConstantPressure, PrescribedVolume)
     if loading.initial_volume is not None:
-        return equilibrium(membrane, volume=float(loading.initial_volume))
-    return equilibrium(membrane, pressure=float(typing.cast(typing.Any, loading.initial_pressure)))
+        return "volume", float(loading.initial_volume)
+    return "pressure", float(typing.cast(typing.Any, loading.initial_pressure))
 
 
-def trial_of(membrane: Membrane, state: State, grid: Grid) -> Shape:
+@functools.lru_cache(maxsize=256)
+def _start_state(key: MembraneKey, name: str, value: float) -> tuple[State, Profile]:
+    """The elastic state at zero voltage from which runs start, and its profile."""
+    state = equilibrium(key.membrane, **{name: value})  # pyright: ignore[reportArgumentType]
+    return state, profile(key.membrane, state)
+
+
+def trial_of(prestretch: float, state: State, own: Profile, grid: Grid) -> Shape:
     """The shape of an equilibrium on a grid, nearly."""
-    own = profile(membrane, state)
     radius = np.sqrt(grid.s)
     a = np.interp(radius, own.radius, own.stretch_2)
     rise = np.interp(radius, own.radius, own.stretch_1 * np.sin(own.theta))
-    coefficients = np.linalg.lstsq(grid.functions[0], a - float(membrane.prestretch), rcond=None)[0]
+    coefficients = np.linalg.lstsq(grid.functions[0], a - prestretch, rcond=None)[0]
     return Shape(coefficients, rise / (2 * radius), float(state.pressure), 0.0)
 
 
@@ -64,7 +72,7 @@ def begun(setting: Setting, start: str, values: dict) -> Asking[tuple[Setting, N
     """Where a run starts: relaxed, the branches carry nothing; fresh, the dashpots have not moved yet."""
     branches = spring_and_branches(setting.membrane.material)[1]
     elastic = at_start(setting.membrane, start)
-    state = _start_state(setting.scene, elastic, {n: v for n, v in values.items() if n != "voltage"})
+    state, own = _start_state(MembraneKey.of(elastic), *_filling(setting.scene, values))
     # a flat film has no volume that depends on its pressure
     given = "pressure" if state.pressure == 0 else "volume"
     held = {"voltage": Linear(0.0, 0.0, 0.0), given: Linear(float(getattr(state, given)), 0.0, 0.0)}
@@ -72,7 +80,7 @@ def begun(setting: Setting, start: str, values: dict) -> Asking[tuple[Setting, N
     balance = setting.balance(held, flows=False, kappa=0.0)
     if start == "relaxed":
         balance = dataclasses.replace(balance, branches=())
-    trial = trial_of(elastic, state, setting.grid)
+    trial = trial_of(float(elastic.prestretch), state, own, setting.grid)
     shape, logs, good = yield Request("settle", setting.mesh, (balance, trial, x[: len(balance.branches)], 0.0))
     if not good:
         raise SceneError(Code.not_converged)

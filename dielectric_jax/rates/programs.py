@@ -14,10 +14,20 @@ from scipy.interpolate import BarycentricInterpolator
 from ..model import AbstractBreakdown, capacitance
 from ..numerics import cached_jit
 from .balance import Balance, Grid, Shape, balanced, grid_of, log_stress, stretches, volume_of
-from .resolution import FIRST_STEP, LOOK_POINTS, STEPS_OF_A_CALL, STOPPED
+from .resolution import LOOK_POINTS, MOST_LOCATING, STEPS_OF_A_CALL, STOPPED
 from .stepping import Instant, Radau5, advance, instant_of
 
-__all__ = ["EVENTS", "Film", "Seen", "Start", "evolve_program", "restep_program", "settle_program", "signs_of"]
+__all__ = [
+    "EVENTS",
+    "Film",
+    "Seen",
+    "Start",
+    "evolve_program",
+    "locate_program",
+    "restep_program",
+    "settle_program",
+    "signs_of",
+]
 
 # what ends a leg, in the order of `Film.signs`
 EVENTS = ("fold", "end", "breakdown", "hoop_tension_loss", "at_rest", "peak")
@@ -58,7 +68,10 @@ def _look(functions: int, points: int):
 
 
 class Start(typing.NamedTuple):
-    """A leg: the balance, where it begins (shape, dashpots, energy dissipated), where m ends, and what is watched (6,)."""
+    """A leg: the balance, where it begins (shape, dashpots, energy dissipated, σ), where m ends, and what is watched (6,).
+
+    `unit` is that of σ, and `step` the first step.
+    """
 
     balance: Balance
     shape: Shape
@@ -67,7 +80,8 @@ class Start(typing.NamedTuple):
     end: typing.Any
     watched: typing.Any
     sigma: typing.Any
-    first: typing.Any
+    unit: typing.Any
+    step: typing.Any
 
 
 class Film(eqx.Module):
@@ -122,7 +136,7 @@ def _watched(signs, watched):
 
 
 @functools.cache
-def evolve_program(functions: int, points: int):
+def evolve_program(functions: int, points: int, lanes: bool):
     """`(breakdown, start, tolerance)` of one leg: the instants after its steps, their σ, and what is seen of them."""
     grid = grid_of(functions, points)
 
@@ -133,13 +147,13 @@ def evolve_program(functions: int, points: int):
         def happened(t, y, args, **_):
             return jnp.any(_watched(film.signs(grid, y, start.end), start.watched) > 0)
 
-        control = diffrax.PIDController(rtol=0.0, atol=tolerance, norm=optx.max_norm, dtmin=1e-12 * start.first)
+        control = diffrax.PIDController(rtol=0.0, atol=tolerance, norm=optx.max_norm, dtmin=1e-12 * start.unit)
         found = diffrax.diffeqsolve(
             diffrax.ODETerm(lambda t, y, args: y),
             Radau5(),
             start.sigma,
-            start.sigma + 1e9 * start.first,
-            FIRST_STEP * start.first,
+            start.sigma + 1e9 * start.unit,
+            start.step,
             y0,
             args=(start.balance, grid),
             stepsize_controller=control,
@@ -152,24 +166,91 @@ def evolve_program(functions: int, points: int):
         seen = jax.vmap(lambda y: film.seen(grid, y))(found.ys)
         return found.ys, found.ts, seen
 
-    return cached_jit(jax.vmap(run, in_axes=(0, 0, None)))
+    return cached_jit(jax.vmap(run, in_axes=(0, 0, None)) if lanes else run)
 
 
 @functools.cache
-def restep_program(functions: int, points: int):
+def restep_program(functions: int, points: int, lanes: bool):
     """`(breakdown, balance, begin, σ of begin, σ, end)`: the instant at σ by one step, what is seen there, and the signs of events, NaN where Newton's method failed."""
     grid = grid_of(functions, points)
 
     def run(breakdown, balance, y0, begin, stop, end):
-        film = Film(balance, breakdown)
-        y, _, good = advance(balance, grid, begin, stop, y0)
-        return y, film.seen(grid, y), jnp.where(good, film.signs(grid, y, end), jnp.nan)
+        return _restepped(Film(balance, breakdown), grid, y0, begin, stop, end)
 
-    return cached_jit(jax.vmap(run))
+    return cached_jit(jax.vmap(run) if lanes else run)
+
+
+def _restepped(film: Film, grid: Grid, y0: Instant, begin, stop, end):
+    y, _, good = advance(film.balance, grid, begin, stop, y0)
+    return y, film.seen(grid, y), jnp.where(good, film.signs(grid, y, end), jnp.nan)
+
+
+class _Bracket(typing.NamedTuple):
+    """An event between two values of σ: signs at both (`below` is NaN until it is known), which end stayed, and the last trial."""
+
+    low: jax.Array
+    high: jax.Array
+    below: jax.Array
+    above: jax.Array
+    side: jax.Array
+    trial: tuple
+    middle: jax.Array
+    done: jax.Array
+    count: typing.Any
+
+
+def _next(bracket: _Bracket, at, scale) -> _Bracket:
+    """One step of the Illinois method: the value at an end that stays is halved, so that the other end moves too."""
+    low, high, below, above = bracket.low, bracket.high, bracket.below, bracket.above
+    new = jnp.isnan(below)
+    middle = jnp.where(new, (low + high) / 2, (low * above - high * below) / jnp.where(new, 1.0, above - below))
+    margin = 1e-3 * (high - low)
+    middle = jnp.clip(middle, low + margin, high - margin)
+    trial, value = at(middle)
+    lower = value < 0
+    close = (jnp.abs(value) <= 1e-12 * scale) | (high - low <= 1e-14 * jnp.abs(high))
+    return _Bracket(
+        jnp.where(lower, middle, low),
+        jnp.where(lower, high, middle),
+        jnp.where(lower, value, jnp.where(bracket.side > 0, below / 2, below)),
+        jnp.where(lower, jnp.where(bracket.side < 0, above / 2, above), value),
+        jnp.where(lower, -1, 1),
+        trial,
+        middle,
+        close | jnp.isnan(value),  # a shorter step did not converge
+        bracket.count + 1,
+    )
 
 
 @functools.cache
-def settle_program(functions: int, points: int):
+def locate_program(functions: int, points: int, lanes: bool):
+    """`(breakdown, balance, begin, σ of the ends (2,), the largest sign at the far end, end, watched)`: the first event between them.
+
+    Returns the instant, what is seen of it, the signs of events, NaN where Newton's method failed, and σ.
+    """
+    grid = grid_of(functions, points)
+
+    def run(breakdown, balance, y0, ends, last, end, watched):
+        film = Film(balance, breakdown)
+
+        def at(sigma):
+            trial = _restepped(film, grid, y0, ends[0], sigma, end)
+            return trial, jnp.max(jnp.where(watched > 0, trial[2], -jnp.inf))
+
+        nothing = jax.tree.map(lambda v: jnp.zeros(v.shape, v.dtype), jax.eval_shape(lambda: at(ends[1])[0]))
+        begun = _Bracket(
+            ends[0], ends[1], jnp.full((), jnp.nan), last, jnp.asarray(0), nothing, ends[0], jnp.asarray(False), 0
+        )
+        found = jax.lax.while_loop(
+            lambda b: ~b.done & (b.count < MOST_LOCATING), lambda b: _next(b, at, jnp.maximum(last, 1.0)), begun
+        )
+        return *found.trial, found.middle
+
+    return cached_jit(jax.vmap(run) if lanes else run)
+
+
+@functools.cache
+def settle_program(functions: int, points: int, lanes: bool):
     """`(balance, shape, x, σ)`: the balanced shape with frozen dashpots, and whether Newton's method converged."""
     grid = grid_of(functions, points)
 
@@ -178,4 +259,4 @@ def settle_program(functions: int, points: int):
         a, _, l1 = stretches(balance, found.shape, grid)
         return found.shape, jnp.stack([jnp.log(l1), jnp.log(jnp.abs(a))]), found.good
 
-    return cached_jit(jax.vmap(run))
+    return cached_jit(jax.vmap(run) if lanes else run)

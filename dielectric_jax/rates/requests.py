@@ -7,12 +7,17 @@ import jax
 import numpy as np
 
 from ..numerics import lapack_alone, run_lanes
-from .programs import evolve_program, restep_program, settle_program
+from .programs import evolve_program, locate_program, restep_program, settle_program
 from .resolution import RUNS_TOGETHER
 
 __all__ = ["Request", "serve"]
 
-_PROGRAMS = {"settle": settle_program, "evolve": evolve_program, "restep": restep_program}
+_PROGRAMS = {
+    "settle": settle_program,
+    "evolve": evolve_program,
+    "locate": locate_program,
+    "restep": restep_program,
+}
 
 
 class Request(typing.NamedTuple):
@@ -29,17 +34,27 @@ def _key(request: Request):
     return request.program, request.mesh, request.shared, tree, tuple(np.shape(v) for v in leaves)
 
 
-def _answered(requests: list[Request], together: int) -> list:
-    """The results of requests of one kind, so many in a call."""
+def _answered(requests: list[Request]) -> list:
+    """The results of requests of one kind.
+
+    On a CPU they are as many calls, on all cores: there lanes of one program wait for the slowest, and in `diffeqsolve` copy
+    what all have saved at every step. On other devices they are lanes.
+    """
     first = requests[0]
-    program = _PROGRAMS[first.program](*first.mesh)
+    many = jax.default_backend() != "cpu"
+    program = _PROGRAMS[first.program](*first.mesh, many)
     stacked = jax.tree.map(lambda *v: np.stack([np.asarray(x, float) for x in v]), *(r.arguments for r in requests))
 
-    def run(part):
-        with lapack_alone():
-            return jax.block_until_ready(program(*part, *first.shared))
+    def of_one(part):
+        found = program(*jax.tree.map(lambda v: v[0], part), *first.shared)
+        return jax.tree.map(lambda v: np.asarray(v)[None], found)
 
-    found = run_lanes(run, stacked, sizes=together, axis=0, out_axis=0, parallel=False)
+    def of_many(part):
+        return jax.block_until_ready(program(*part, *first.shared))
+
+    run, sizes = (of_many, RUNS_TOGETHER) if many else (of_one, 1)
+    with lapack_alone():
+        found = run_lanes(run, stacked, sizes=sizes, axis=0, out_axis=0, parallel=not many)
     return [jax.tree.map(lambda v, i=i: v[i], found) for i in range(len(requests))]
 
 
@@ -56,13 +71,12 @@ def serve(runs: Sequence[Generator[Request, typing.Any, typing.Any]]) -> list:
 
     for i in range(len(runs)):
         resume(i, None)
-    together = RUNS_TOGETHER if len(runs) > 1 else 1  # one size, as every size is compiled
     while waiting:
         groups: dict = {}
         for i, request in waiting.items():
             groups.setdefault(_key(request), []).append(i)
         todo, waiting = waiting, {}
         for members in groups.values():
-            for i, answer in zip(members, _answered([todo[i] for i in members], together), strict=True):
+            for i, answer in zip(members, _answered([todo[i] for i in members]), strict=True):
                 resume(i, answer)
     return results

@@ -11,15 +11,15 @@ LOOK_POINTS = 65
 # the first step of a leg, as a share of its scale of σ
 FIRST_STEP = 1e-3
 # steps of one call of the compiled program; a longer leg takes several
-STEPS_OF_A_CALL = 256
+STEPS_OF_A_CALL = 32
 # dx/dm, in units of 1/(unit of time), below which nothing moves any more
 STOPPED = 1e-9
 # functions of the radius and Gauss points, of a run and of its estimate of the error
 MESHES = ((24, 36), (32, 48))
-# runs of one call, where there are several
+# runs of one call, on a device that is no CPU
 RUNS_TOGETHER = 8
 # calls of a leg, jumps of a run, and steps with which an event is located
-MOST_CALLS, MOST_JUMPS, MOST_LOCATING = 40, 50, 60
+MOST_CALLS, MOST_JUMPS, MOST_LOCATING = 320, 50, 60
 # the error of a step along a jump, on which every state is exact
 LANDING_TOLERANCE = 1e-3
 # changes of the voltage, of what leaps, and of the volume that count as large: κ and the units of σ

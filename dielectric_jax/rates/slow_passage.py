@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..diagram import voltage_volume
-from ..model import Chamber, ConstantPressure, Scene, capacitance, other_loading, spring_and_branches
+from ..model import Chamber, ConstantPressure, Scene, capacitance, other_loading, profile, spring_and_branches
 from ..numerics import Code, SceneError, cached_jit, check_between, lapack_alone
 from .balance import Balance, Grid, Shape, balanced, grid_of, stretches, tangent, volume_of
 from .phases import begun, setting_of, trial_of
@@ -125,7 +125,9 @@ def slow_passage(scene: Scene) -> SlowPassage:
     setting = setting_of(elastic, {}, MESHES[1], LANDING_TOLERANCE, again=None)
     setting, _ = serve([begun(setting, "relaxed", {})])[0]
     balance = setting.free({}, "voltage", 1.0)
-    trial = trial_of(elastic.membrane, fold, setting.grid)._replace(moment=fold.voltage**2)
+    trial = trial_of(float(elastic.membrane.prestretch), fold, profile(elastic.membrane, fold), setting.grid)._replace(
+        moment=fold.voltage**2
+    )
     arguments = jax.tree.map(lambda v: np.asarray(v, float), (balance, branches, setting.condition, trial, fold.volume))
     with lapack_alone():
         q, alpha, beta, c, good = map(float, _program(setting.mesh)(*arguments))
