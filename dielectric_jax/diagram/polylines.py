@@ -8,7 +8,7 @@ import dataclasses
 import numpy as np
 
 from .mesh import hermite
-from .resolution import NEAR_TURN
+from .resolution import CLEAR_DIP, LONG_INTERVAL, NEAR_TURN
 
 __all__ = ["Places", "Polylines"]
 
@@ -87,7 +87,10 @@ class Polylines:
             dip = -b / (2 * a)
             low = d0 + dip * (b + a * dip)
             both = np.sign(d0)
-            hidden = ~once & (dip > 0) & (dip < 1) & (low * both < NEAR_TURN * np.maximum(np.abs(d0), np.abs(d1)))
+            least, most = np.minimum(np.abs(d0), np.abs(d1)), np.maximum(np.abs(d0), np.abs(d1))
+            hidden = ~once & (dip > 0) & (dip < 1)
+            clear = np.where(gap > LONG_INTERVAL, CLEAR_DIP, 0.0)
+            hidden &= low * both < np.maximum(NEAR_TURN * most, clear * least)
             hidden &= np.isfinite(gap)
         found = [np.nonzero(which) for which in (once, hidden)]
         share = np.clip(np.nan_to_num(share, nan=0.5), 0.0, 1.0)

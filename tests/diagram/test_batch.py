@@ -235,3 +235,13 @@ def test_a_line_that_goes_on_on_a_finer_grid_keeps_nothing_of_the_coarser():
         assert 0 < length.min() and length.max() < 2.1
         # towards the cone the oscillations of the load shrink: neighbouring chords do not turn back
         assert ((chords[1:] * chords[:-1]).sum(axis=1) > 0).all()
+
+
+def test_two_folds_in_one_step_of_the_march():
+    """An eight-chain film in thin air: the whole diagram, which scans, and the surface know both folds."""
+    membrane = dj.Membrane(dj.ArrudaBoyce(6.547882701322623), 1.0686666282877064)
+    air = {"atmospheric_pressure": 0.0, "polytropic_exponent": 1.4}
+    chamber = dj.Chamber(volume=1231.0694198451758, initial_volume=1.015436763748196, **air)
+    found = dj.continue_scenes([dj.Scene(membrane, chamber)]).ramps
+    assert found.snap.voltage[0, 0] == pytest.approx(0.4495331072, abs=1e-9)
+    assert dj.Regime(int(found.regime[0])) == dj.Regime.breaks_in_snap
