@@ -15,7 +15,7 @@ from .programs import EVENTS, Seen, Start, signs_of
 from .protocols import Linear
 from .requests import Request
 from .resolution import LANDING_TOLERANCE, MOST_CALLS, MOST_LOCATING, MOST_SECTIONS
-from .runs import Row, Run, RunEvent, event_of
+from .runs import Row, RunEvent, event_of
 from .stepping import Instant
 
 __all__ = ["Now", "Passed", "Setting", "passed"]
@@ -44,7 +44,7 @@ class Load(eqx.Module):
 
 
 class Setting(typing.NamedTuple):
-    """What a run has throughout: `driven` is what is prescribed, and `again` makes the same run finer."""
+    """What a run has throughout: `driven` is what is prescribed, `protocol` how, and `again` is the same run, finer."""
 
     scene: Scene | Membrane
     membrane: Membrane
@@ -52,7 +52,8 @@ class Setting(typing.NamedTuple):
     driven: str
     mesh: tuple[int, int]
     tolerance: float
-    again: Callable[[], Run]
+    protocol: dict
+    again: Callable[[], Generator]
 
     @property
     def grid(self) -> Grid:
