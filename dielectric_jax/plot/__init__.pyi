@@ -1,4 +1,4 @@
-from .animation import animate_ramp, plot_ramp, ramp_path
+from .animation import animate_ramp, animate_run, plot_ramp, ramp_path
 from .diagrams import chamber_voltages, plot_chamber, plot_diagram, plot_pressure_volume, plot_voltage_volume
 from .drawing import (
     COLOURS,
@@ -23,6 +23,7 @@ __all__ = [
     "COLOURS",
     "add_legend",
     "animate_ramp",
+    "animate_run",
     "balloon_pressure",
     "breakdown_latitudes",
     "chamber_voltages",

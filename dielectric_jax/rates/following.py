@@ -233,6 +233,7 @@ def _run(setting: Setting, now: Now, seen: Seen | None, time: float, reason: str
         max(now.defects, default=0.0),
         setting.protocol,
         slopes_of(now.rows),
+        tuple(row.instant for row in now.rows),
         setting.again,
     )
 

@@ -78,13 +78,14 @@ class Setting(typing.NamedTuple):
 
 
 class Passed(typing.NamedTuple):
-    """How a leg ended: an event of `EVENTS`, "lost" or "unfinished"; the instant, what is seen of it, and of the steps."""
+    """How a leg ended: an event of `EVENTS`, "lost" or "unfinished"; the instant, what is seen of it, and the steps."""
 
     event: str
     instant: Instant
     seen: Seen
     rows: list[Seen]
     sigma: list[float]
+    instants: list[Instant]
 
 
 @dataclasses.dataclass
@@ -100,8 +101,8 @@ class Now:
     def note(self, phase: str, found: Passed, time: float | None) -> None:
         """Keeps the steps of a leg, all at one `time`, or at their own."""
         number = self.rows[-1].leg + 1 if self.rows else 0
-        for sigma, seen in zip(found.sigma, found.rows, strict=True):
-            self.rows.append(Row(float(seen.time) if time is None else time, phase, number, sigma, seen))
+        for sigma, seen, instant in zip(found.sigma, found.rows, found.instants, strict=True):
+            self.rows.append(Row(float(seen.time) if time is None else time, phase, number, sigma, seen, instant))
 
 
 class _Leg(typing.NamedTuple):
@@ -131,6 +132,7 @@ def passed(setting: Setting, now: Now, balance: Balance, limit: float, phase: st
     shape, x, work = now.shape, now.x, np.zeros(2)
     rows: list[Seen] = []
     sigmas: list[float] = []
+    instants: list[Instant] = []
     tolerance = setting.tolerance if leg.flows else LANDING_TOLERANCE
     energy = None
     for _ in range(MOST_CALLS):
@@ -148,6 +150,7 @@ def passed(setting: Setting, now: Now, balance: Balance, limit: float, phase: st
         again = int(bool(rows))  # a further call begins where the one before ended
         rows += [Seen(*(v[k] for v in seen)) for k in range(again, smooth)]
         sigmas += [float(s) for s in ts[again:smooth]]
+        instants += [_at(ys, k) for k in range(again, smooth)]
         last = _at(ys, known - 1)
         if happened > 0 and known > 1:
             begin = _at(ys, known - 2)
@@ -156,15 +159,15 @@ def passed(setting: Setting, now: Now, balance: Balance, limit: float, phase: st
                 gained, dissipated, given = there.energy - energy, *instant.work
                 largest = max(abs(gained), abs(dissipated), abs(given), 1e-3)
                 now.defects.append(float(abs(gained + dissipated - given) / largest))
-            return Passed(event, instant, there, [*rows, there], [*sigmas, place])
+            return Passed(event, instant, there, [*rows, there], [*sigmas, place], [*instants, instant])
         if happened > 0:  # at the start
             signs = np.where(leg.watched, signs_of(seen, limit, np)[-1], -np.inf)
             there = Seen(*(v[-1] for v in seen))
-            return Passed(EVENTS[int(np.argmax(signs))], last, there, [there], [sigma])
+            return Passed(EVENTS[int(np.argmax(signs))], last, there, [there], [sigma], [last])
         if known < 2 or ts[known - 1] - ts[known - 2] < 1e-9 * unit:
-            return Passed("lost", last, rows[-1], rows, sigmas)
+            return Passed("lost", last, rows[-1], rows, sigmas, instants)
         shape, x, work = last.shape, last.x, last.work
-    return Passed("unfinished", last, rows[-1], rows, sigmas)
+    return Passed("unfinished", last, rows[-1], rows, sigmas, instants)
 
 
 def _located(setting: Setting, leg: _Leg, y0, ends, last: float) -> Asking[tuple[str, Instant, Seen, float]]:

@@ -17,7 +17,16 @@ from .balance import Balance, Grid, Shape, balanced, grid_of, log_stress, stretc
 from .resolution import FIRST_STEP, LOOK_POINTS, STEPS_OF_A_CALL, STOPPED
 from .stepping import Instant, Radau5, advance, instant_of
 
-__all__ = ["EVENTS", "Film", "Seen", "Start", "evolve_program", "restep_program", "settle_program", "signs_of"]
+__all__ = [
+    "EVENTS",
+    "Film",
+    "Seen",
+    "Start",
+    "evolve_program",
+    "restep_program",
+    "settle_program",
+    "signs_of",
+]
 
 # what ends a leg, in the order of `Film.signs`
 EVENTS = ("fold", "end", "breakdown", "hoop_tension_loss", "at_rest")

@@ -6,15 +6,18 @@ import math
 import typing
 from collections.abc import Generator, Sequence
 
+import jax
 import numpy as np
 import xarray
 from scipy.interpolate import CubicHermiteSpline
 
 from ..diagram import voltage_volume
-from ..model import Membrane, Scene, Units, Unrelaxed, Viscoelastic, describe, plain, spring_and_branches
+from ..model import Membrane, Profile, Scene, Units, Unrelaxed, Viscoelastic, describe, plain, spring_and_branches
 from ..numerics import check_whole
 from .programs import Seen
 from .requests import serve
+from .shapes import profile_of
+from .stepping import Instant
 
 __all__ = [
     "Row",
@@ -31,13 +34,14 @@ __all__ = [
 
 
 class Row(typing.NamedTuple):
-    """A step of a run: the time, the phase and number of its leg, σ, and what is seen."""
+    """A step of a run: the time, the phase and number of its leg, σ, what is seen, and the instant."""
 
     time: float
     phase: str
     leg: int
     sigma: float
     seen: Seen
+    instant: Instant
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,6 +91,7 @@ class Run:
     energy_defect: float
     protocol: dict
     _slopes: dict = dataclasses.field(repr=False, compare=False)
+    _instants: tuple[Instant, ...] = dataclasses.field(repr=False, compare=False)
     _again: typing.Callable[[], Generator] = dataclasses.field(repr=False, compare=False)
 
     @property
@@ -116,6 +121,35 @@ class Run:
         columns = {n: np.array(found[n]) for n in ("step", "time", "volume", "pressure")}
         columns["voltage"] = np.sqrt(np.maximum(found["load"], 0.0))
         return xarray.Dataset({name: ("point", values) for name, values in columns.items()})
+
+    def profile(self, step: float) -> Profile:
+        """Shape, stretches, true stresses, field and E/E_EB along the radius at a step, or between two by its fraction.
+
+        `step` counts the steps of `dataset`, as the column of `dense` does; between two steps of a leg the shape and the dashpots
+        are interpolated by cubic Hermite polynomials in σ. Raises ValueError for a step that is not there, or between two legs.
+
+        >>> from dielectric_jax import ConstantPressure, Gent, Maxwell
+        >>> from dielectric_jax.rates import Ramp, follow
+        >>> film = Membrane(Viscoelastic(Gent(270.0), [Maxwell(Gent(270.0), modulus_ratio=1.0, relaxation_time=1.0)]))
+        >>> run = follow(Scene(film, ConstantPressure(1.82)), voltage=Ramp(rate=0.01))
+        >>> bool(abs(run.profile(12.5).first_integral_defect()).max() < 1e-4)
+        True
+        """
+        count, leg = len(self._instants), self.dataset.leg.values
+        first = math.floor(step) if 0 <= step <= count - 1 else -1
+        last = min(first + (step > first), count - 1)
+        if first < 0 or leg[first] != leg[last]:
+            raise ValueError(f"`step` must be from 0 to {count - 1} and not between two legs, but is {step!r}.")
+        membrane = self.scene.membrane if isinstance(self.scene, Scene) else self.scene
+        ends, share = (first, last), step - first
+        loads = self.dataset.voltage.values[[first, last]] ** 2
+        if first == last:
+            return profile_of(membrane, self._instants[first].shape, self._instants[first].x, float(loads[0]))
+        h = float(self.dataset.sigma[last] - self.dataset.sigma[first])
+        values = [(self._instants[k].shape, self._instants[k].x, loads[i]) for i, k in enumerate(ends)]
+        rates = [(self._instants[k].shape_rate, self._instants[k].x_rate, self._slopes["load"][k]) for k in ends]
+        shape, x, load = jax.tree.map(functools.partial(_hermite, share, h), *values, *rates)
+        return profile_of(membrane, shape, x, float(load))
 
     def event(self, kind: str) -> RunEvent | None:
         """The first event of a kind, None where there is none."""
@@ -187,6 +221,13 @@ class Run:
         convert = units.read if read else units.to_si
         told = {n: _in(v, functools.partial(convert, name=n)) for n, v in self.protocol.items()}
         return units.to_document(plain(document), read=read) | {"protocol": plain(told)}
+
+
+def _hermite(share: float, h: float, begin, end, begin_rate, end_rate):
+    """Between two values and derivatives, h apart, by the cubic."""
+    back = 1 - share
+    kept = back**2 * (1 + 2 * share) * begin + share**2 * (1 + 2 * back) * end
+    return kept + h * share * back * (back * begin_rate - share * end_rate)
 
 
 _COMPARED = ("time", "voltage", "pressure", "volume")
