@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .drawing import COLOURS, axis_label, new_axes, new_figure, sequence
+from ..model import voltage_of
+from .drawing import COLOURS, axis_label, columns, new_axes, new_figure, sequence
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,10 +30,10 @@ def _reader(runs: Sequence[Any], units: Any) -> tuple[Any, Any]:
 def _draw_bounds(ax: Axes, bounds: Sequence[Any], read: Any) -> None:
     """The diagram at rest in black, and that at frozen dashpots in grey."""
     slow, fast = bounds
-    branch, held = slow.branches[0], fast.dense()
-    keep = branch.voltage_squared >= 0
+    held = fast.dense()
+    volume, load, *_ = columns(slow.branches[0], "voltage_squared", slow.special_points)
     lines = (
-        (branch.volume[keep], np.sqrt(branch.voltage_squared[keep]), "black", "at rest"),
+        (volume, voltage_of(load), "black", "at rest"),
         (held.volume.values, held.voltage.values, "0.6", "dashpots frozen"),
     )
     for volume, voltage, colour, label in lines:
@@ -195,7 +196,8 @@ def plot_snap_voltages(
     for kind, face, label in (("jump", COLOURS[0], "jump"), ("creep_through", "white", "creep-through")):
         own = [run for run in runs if run.snap is not None and run.snap.kind == kind]
         if own:
-            rates = read(np.array([abs(run.protocol["voltage"]["rate"]) for run in own]), "voltage")
+            rates = np.array([abs(run.protocol["voltage"]["rate"]) for run in own])
+            rates = rates if units is None else units.to_si(rates, "voltage")
             snaps = read(np.array([run.snap.at.voltage for run in own]), "voltage")
             ax.plot(rates, snaps, "o", color=COLOURS[0], markerfacecolor=face, label=label)
     if bounds:
@@ -206,7 +208,7 @@ def plot_snap_voltages(
         for level, dash, colour, label in levels:
             ax.axhline(read(level, "voltage"), linestyle=dash, color=colour, linewidth=0.9, label=label)
     ax.set_xscale("log")
-    volts = "H√(μ/ε)" if units is None else units.read_name("voltage")
+    volts = "H√(μ/ε)" if units is None else "V"
     unit = f"{volts}/{time_unit}" if time_unit else volts if units is None else f"{volts} per unit of time"
     ax.set_xlabel(f"Rate dΦ/dt / ({unit})")
     ax.set_ylabel(axis_label("voltage", units).replace("Voltage", "Voltage at the snap"))

@@ -100,7 +100,7 @@ def test_the_picture_of_snaps_over_the_rate(ramps):
     shown = {float(x): float(y) for line in ax.lines[:-2] for x, y in zip(*line.get_data(), strict=True)}
     for item, _ in own:
         known = item["result"].get("fold") or item["result"]["fastest"]
-        assert shown[item["scene"]["rate"] * kilovolts] == pytest.approx(
+        assert shown[dj.Units().to_si(item["scene"]["rate"], "voltage")] == pytest.approx(
             kilovolts * known["voltage"]["value"], rel=1e-5
         )
     levels = [float(line.get_ydata()[0]) / kilovolts for line in ax.lines[-2:]]
