@@ -184,7 +184,7 @@ def plot_snap_voltages(
     >>> import dielectric_jax as dj
     >>> film = dj.Membrane(dj.Viscoelastic(dj.Gent(270.0), [dj.Maxwell(dj.Gent(270.0), 1.0, 1.0)]))
     >>> scene = dj.Scene(film, dj.ConstantPressure(1.82))
-    >>> runs = dj.follow([scene] * 2, voltage=[dj.Ramp(rate=0.01), dj.Ramp(rate=0.1)])
+    >>> runs = [dj.follow(scene, voltage=dj.Ramp(rate=rate)) for rate in (0.01, 0.1)]
     >>> [round(float(y), 4) for line in plot_snap_voltages(runs).lines for y in line.get_ydata()]
     [0.1833, 0.2484]
     """
