@@ -122,12 +122,23 @@ def scenes() -> dict[str, dj.Scene]:
     for name, material in elastic.items():
         rubber = dj.Electrostrictive(material, 0.01, -0.02)
         made[f"electrostrictive {name}"] = dj.Scene(membrane_of(rubber), FILLED)
+    branches = [dj.Maxwell(dj.Gent(60.0), 0.6, 0.1), dj.Maxwell(elastic["ogden"], 0.4, 10.0)]
+    made["viscoelastic"] = dj.Scene(membrane_of(dj.Viscoelastic(elastic["gent"], branches)), FILLED)
     return made
+
+
+def numbers_of(scene: dj.Scene) -> dict:
+    """The description of a scene with those of its branches under their published names."""
+    said = describe(scene)
+    branches = said.pop("branches", [])
+    for name in ("modulus_ratio", "relaxation_time") if branches else ():
+        said[name] = [own.pop(name) for own in branches]
+    return said | {f"branches[{k}].{n}": v for k, own in enumerate(branches) for n, v in own.items()}
 
 
 def value_of(scene: dj.Scene, name: str):
     """The value of a parameter; None of the filling that another gives."""
-    return functools.reduce(getattr, scene.path_of(name), scene)
+    return scene.value_of(name)
 
 
 def limits_of(scene: dj.Scene, name: str) -> tuple[float, float]:
@@ -190,8 +201,8 @@ def replaced(scene, name, limits) -> float:
     many, own = parameter_of(name).many, value_of(scene, name)
     compare("has", scene.has(name), True)
     value = (limits[1], *own[1:]) if many else limits[1]
-    changed, before = scene.replace(**{name: value}), describe(scene)
-    said = describe(changed)
+    changed, before = scene.replace(**{name: value}), numbers_of(scene)
+    said = numbers_of(changed)
     apart = compare(name, np.float64(np.ravel(said[name])[0]), limits[1], 1e-14)
     others = {n for n in {*said, *before} if said.get(n) != before.get(n)} - {name}
     if name.startswith("initial_"):
@@ -199,7 +210,7 @@ def replaced(scene, name, limits) -> float:
     if parameter_of(name).path[0] != "units":
         compare("another parameter that changes", others, set())
     if own is not None:
-        for n, v in describe(changed.replace(**{name: own})).items():
+        for n, v in numbers_of(changed.replace(**{name: own})).items():
             apart = max(apart, compare(n, v, before[n], 1e-14))
     return apart
 
@@ -217,24 +228,32 @@ def documented(scene, name, limits) -> float:
     return compare("the scene", describe(scene_of(*_parts(changed))), describe(changed))
 
 
+def _value(value) -> str:
+    """A value of TOML."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{n} = {_value(v)}" for n, v in value.items()) + "}"
+    return f"[{', '.join(map(_value, value))}]" if isinstance(value, list) else repr(value)
+
+
 def _toml(scene: dj.Scene, *tables: str) -> str:
     parts = zip(("scene", "units"), _parts(scene), strict=True)
-    lines = [(f"[{table}]", *(f"{n} = {str(v) if not isinstance(v, str) else repr(v)}" for n, v in own.items())) for table, own in parts if own]  # fmt: skip
+    lines = [(f"[{table}]", *(f"{n} = {_value(v)}" for n, v in own.items())) for table, own in parts if own]
     return "\n".join([*itertools.chain(*lines), *tables])
 
 
 def written(scene, name, limits) -> float:
     """A file of TOML in which the parameter varies: of a sweep, a map and an optimisation."""
+    key = name if name.isidentifier() else f'"{name}"'
     with tempfile.TemporaryDirectory() as folder:
         path = pathlib.Path(folder) / "spec.toml"
-        path.write_text(_toml(scene, "[product]", f"{name} = {list(limits)}"), encoding="utf-8")
+        path.write_text(_toml(scene, "[product]", f"{key} = {list(limits)}"), encoding="utf-8")
         made, axes, _ = read_specification(path)
         wanted = describe(scene.replace(**{name: limits[1]}))
         compare("the axis", axes[0].columns[name].tolist(), list(limits))
         compare("the scene", describe(made.replace(**{name: limits[1]})), wanted)
         for command in ("regimes", "optimise"):
-            tables = "[over]", f"{name} = {list(limits)}"
-            path.write_text(_toml(scene, *tables, *(("[uncertain]", f"{name} = 0.1") if command == "optimise" else ())), encoding="utf-8")  # fmt: skip
+            tables = "[over]", f"{key} = {list(limits)}"
+            path.write_text(_toml(scene, *tables, *(("[uncertain]", f"{key} = 0.1") if command == "optimise" else ())), encoding="utf-8")  # fmt: skip
             made, over, options = read_design_file(str(path), command)
             compare("the range", over, {name: limits})
             compare("what is uncertain", options.get("uncertain"), {name: 0.1} if command == "optimise" else None)
@@ -450,6 +469,12 @@ REASONS: list[tuple[tuple[str, ...], typing.Callable[[dj.Scene, str], bool], str
         "must not vary.*, because its value is a list",
     ),
     (
+        ("file", *(v for v in COMPUTED if v != "grad")),
+        lambda s, n: n.startswith("branches["),
+        "must not vary here, because the membrane at rest does not depend on it; `dj.follow` and `dj.bounds` do|"
+        "`dimension` must be a name of letters and digits",
+    ),
+    (
         ("maximise",),
         lambda s, n: change_of(n) is Change.MATERIAL,
         "must be held, because every value of it needs its own surface",
@@ -487,7 +512,7 @@ def ask(scene: dj.Scene, name: str, verb: str) -> dict:
 
 def names_of(scene: dj.Scene) -> list[str]:
     """Every published parameter, those that the scene does not have too, and the constants of a user's material."""
-    said = describe(scene)
+    said = numbers_of(scene)
     numbers = [n for n, v in said.items() if isinstance(v, float) and scene.has(n)]
     return list(dict.fromkeys((*PARAMETERS, *numbers)))
 

@@ -216,6 +216,30 @@ def _run_regimes(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], 
     return found.to_json(), lambda: found.plot().figure
 
 
+def _run_follow(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
+    from .follow_files import read_follow_file
+
+    asked = read_follow_file(args.specification)
+    count = max(map(len, asked.protocols.values()))
+    _say("runs …" if count > 1 else "run …")
+    found = dj.follow([asked.scene] * count, **asked.protocols, **asked.options)
+    if asked.check:
+        dj.rates.estimate_errors(found)
+    documents = [run.to_json(check=asked.check) for run in found]
+    readable = [run.to_json(asked.units, check=asked.check, read=True) for run in found]
+    args.readable = readable[0] if count == 1 else {"runs": readable}
+
+    def draw() -> Any:
+        from ..plot import plot_follow
+
+        bounds = ()
+        if "volume" not in asked.protocols and "pressure" not in asked.protocols:
+            bounds = dj.bounds(asked.scene, start=asked.options.get("start", "relaxed"))
+        return plot_follow(found, bounds=bounds, labels=asked.labels, units=asked.units)
+
+    return documents[0] if count == 1 else {"runs": documents}, draw
+
+
 def _run_optimise(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
     from .design_files import read_design_file
 
@@ -252,6 +276,7 @@ def _run_calibrate(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[]
 
 _COMMANDS = {
     "calibrate": _run_calibrate,
+    "follow": _run_follow,
     "sweep": _run_sweep,
     "regimes": _run_regimes,
     "optimise": _run_optimise,
@@ -288,7 +313,8 @@ def _write(document: dict, draw: Callable[[], Any], args: argparse.Namespace) ->
         draw().savefig(figure, dpi=150)
         _say(f"wrote {figure}")
     if args.json is None and figure is None:
-        print(summary(_in_units(document, args.units, read=True)), flush=True)
+        readable = getattr(args, "readable", None) or _in_units(document, args.units, read=True)
+        print(summary(readable), flush=True)
 
 
 def _run_paper(args: argparse.Namespace) -> None:

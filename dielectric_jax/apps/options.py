@@ -275,10 +275,15 @@ def _add_calibrate(commands, common: Parser) -> None:
     fit.add_argument("--level", type=_share, default=0.95, metavar="P", help="level of the confidence intervals (0.95)")
 
 
-def _add_designs(commands) -> None:
-    for name, what in (("regimes", "a map of two parameters"), ("optimise", "the design of largest area strain")):
+def _add_specified(commands) -> None:
+    """Commands whose only input is a file."""
+    for name, what, holds in (
+        ("regimes", "a map of two parameters", "scene, ranges and constraints"),
+        ("optimise", "the design of largest area strain", "scene, ranges and constraints"),
+        ("follow", "a viscoelastic membrane in time", "scene, and what is prescribed in time"),
+    ):
         asked = commands.add_parser(name, help=what, description=_DESCRIPTION)
-        asked.add_argument("specification", metavar="SPEC.toml", help="scene, ranges and constraints")
+        asked.add_argument("specification", metavar="SPEC.toml", help=holds)
         asked.add_argument("--json", metavar="FILE|-", help="write JSON to a file, or to standard output with -")
         asked.add_argument("--figure", metavar="FILE", help=f"draw a figure ({', '.join(_FIGURE_SUFFIXES)})")
 
@@ -295,7 +300,7 @@ def _parser() -> Parser:
     _add_paper(commands)
     _add_sweep(commands)
     _add_calibrate(commands, common)
-    _add_designs(commands)
+    _add_specified(commands)
     return parser
 
 
@@ -314,7 +319,7 @@ def _check(args: argparse.Namespace) -> None:
         _check_folder("--output", args.output)
         return
     _check_files(args)
-    if args.command in ("regimes", "optimise"):
+    if args.command in ("regimes", "optimise", "follow"):
         return
     if args.command == "sweep":
         _check_sweep(args)

@@ -34,11 +34,13 @@ def summary(document: dict) -> str:
         return "\n".join([title, _table(("variable", "code", "scenes"), counts)])
     if "diagrams" in document:
         return "\n\n".join(summary(d) for d in document["diagrams"])
+    if "runs" in document:
+        return "\n\n".join(summary(d) for d in document["runs"])
     units = document.get("unit_names", {})
     scene = ", ".join(
         f"{k} {_number_text(v)}{_unit_of(k, units) if isinstance(v, float) else ''}"
         for k, v in document["scene"].items()
-        if v is not None
+        if v is not None and k != "branches"
     )
     lines = [f"scene: {scene} ({document['units']})"]
     if "intervals" in document:
@@ -47,6 +49,8 @@ def summary(document: dict) -> str:
         return "\n".join([*lines, *_map_lines(document)])
     if "multipliers" in document:
         return "\n".join([*lines, *_design_lines(document)])
+    if "events" in document:
+        return "\n".join([*lines, *_run_lines(document, units)])
     if "modes" in document:
         return "\n".join([*lines, *_mode_lines(document, units)])
     if "states" in document:
@@ -115,6 +119,54 @@ def _mode_lines(document: dict, units: dict[str, str]) -> list[str]:
     head += [f"frequency {k + 1} [Hz]" for k in range(len(first["frequency"] or []))]
     least = f"least hoop stress: {_number_text(document['hoop_tension'])}{_unit_of('hoop_tension', units)}"
     return [*_state_lines("state", [document["state"]], (), units), "", "modes", _table([*head, "error"], rows), least]
+
+
+def _branch_sentences(branches: Sequence[dict]) -> list[str]:
+    return [
+        f"branch {k}: " + ", ".join(f"{n} {_number_text(v)}" for n, v in own.items()) for k, own in enumerate(branches)
+    ]
+
+
+def _told(protocol: dict, units: dict[str, str]) -> list[str]:
+    """What is prescribed, one line a quantity."""
+    lines = []
+    for name in ("voltage", "volume", "pressure"):
+        own = dict(protocol.get(name, {}))
+        if own:
+            kind = own.pop("protocol")
+            numbers = ", ".join(f"{n} {_number_text(v)}" for n, v in own.items() if v is not None)
+            unit = f" ({units[name]}, rates in it per unit of time)" if name in units else ""
+            lines.append(f"{name}: {kind}{f', {numbers}' if numbers else ''}{unit}")
+    return lines
+
+
+def _happened(document: dict, units: dict[str, str]) -> str:
+    """One sentence about the snap and the end."""
+
+    def place(event: dict) -> str:
+        named = (("t", "time"), ("Φ", "voltage"), ("V", "volume"))
+        return ", ".join(f"{symbol} = {event[name]:.6g}{_unit_of(name, units)}" for symbol, name in named)
+
+    snap, end = document["snap"], document["events"][-1]
+    ends = f"the run ends at t = {end['time']:.6g}: {end['reason']}"
+    if snap is None:
+        return f"There is no snap; {ends}."
+    if snap["kind"] == "creep_through":
+        return f"The membrane creeps through, fastest at {place(snap['at'])} (creep_through); {ends}."
+    landing = snap["landing"]
+    lands = "without a landing" if landing is None else f"to V = {landing['volume']:.6g}{_unit_of('volume', units)}"
+    return f"The membrane jumps at {place(snap['at'])} {lands} (jump); {ends}."
+
+
+def _run_lines(document: dict, units: dict[str, str]) -> list[str]:
+    names = ("event", "time", "voltage", "pressure", "volume", "apex_stretch", "breakdown_ratio")
+    rows = [
+        [*(e[n] for n in names), "–" if e["error_estimate"] is None else f"{e['error_estimate']:.1e}", e["reason"]]
+        for e in document["events"]
+    ]
+    lines = [*_branch_sentences(document["scene"].get("branches", ())), *_told(document["protocol"], units)]
+    lines += [f"start: {document['protocol']['start']}; times in the unit of the relaxation times"]
+    return [*lines, "", _table([*_heads(names, units), "error", "reason"], rows), "", _happened(document, units)]
 
 
 def _unit_of(name: str, units: dict[str, str]) -> str:

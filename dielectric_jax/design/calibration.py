@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 from scipy.stats import t as student
 
-from ..model import ConstantBreakdown, Membrane, Units, VHBBreakdown
+from ..model import ConstantBreakdown, Membrane, Units, VHBBreakdown, Viscoelastic
 from ..numerics import check_positive
 from .curve_model import CurveModel
 from .material_constants import sought_constants
@@ -210,6 +210,11 @@ def calibrate(
     """
     membrane = Membrane() if membrane is None else membrane
     volume, pressure = _measured(volume, pressure)
+    if isinstance(membrane.material, Viscoelastic):
+        raise ValueError(
+            "`membrane` must have an elastic material, because a curve without times says nothing about branches; fit the spring "
+            f"{type(membrane.material.equilibrium).__name__} alone."
+        )
     names = sought_constants(membrane.material, over, units is not None)
     _check_options(loss, level, voltage, noise)
     volume, pressure, warnings = _usable(volume, pressure, units)

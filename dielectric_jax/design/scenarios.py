@@ -2,7 +2,6 @@
 
 import dataclasses
 import itertools
-import typing
 
 import numpy as np
 import scipy.stats
@@ -34,9 +33,7 @@ class Scenario:
 def value_of(scene: Scene, name: str) -> float:
     """The value of a parameter of a scene; raises ValueError if it has none of that name."""
     scene.check_varies(name)
-    part: typing.Any = scene
-    for step in scene.path_of(name):
-        part = getattr(part, step, None)
+    part = scene.value_of(name)
     if part is None:
         raise ValueError(f"`{name}` must be a parameter of this scene, but it has none of that name.")
     return float(part)

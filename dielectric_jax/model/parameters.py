@@ -1,12 +1,15 @@
 """Every continuous parameter of a scene, in one table: where it lives, what it measures, what it is called, what it may be.
 
 Scenes, documents, the command line, sweeps, designs, figures and the explorer read it. A new constant of a material is one
-more row. Constants of a user's own material are no rows: they have the names of its fields, and may be any number.
+more row. Constants of a user's own material are no rows: they have the names of its fields, and may be any number. An entry of
+a list of numbers is `moduli[0]`, a constant of the spring in a Maxwell branch `branches[0].stretch_limit`.
 """
 
 import dataclasses
 import enum
 import math
+import re
+import typing
 
 __all__ = ["PARAMETERS", "Change", "Parameter", "change_of", "parameter_of", "place_of"]
 
@@ -36,13 +39,13 @@ _UNITS = {
 class Parameter:
     """One parameter of a scene.
 
-    `path` is its place in a scene, `owner` the class of the loading where several have a field of its name. `kind` is the kind
+    `path` is its place in a scene, by names of fields and numbers of entries, `owner` the class of the loading where several have a field of its name. `kind` is the kind
     of quantity: "pressure", "volume", "modulus" (a multiple of μ), an SI unit, or "" for a pure number. A value is above
-    `least`, or equal to it where `closed`; a `many` is a list of numbers. `default` is that of its class.
+    `least`, or equal to it where `closed`; a `many` is a list of numbers, of branches one a branch. `default` is that of its class.
     """
 
     name: str
-    path: tuple[str, ...]
+    path: tuple[typing.Any, ...]
     symbol: str
     words: str
     kind: str = ""
@@ -85,6 +88,11 @@ def _loading(name, field, symbol, words, kind="", **more) -> Parameter:
 
 def _material(name, symbol, words, kind="", **more) -> Parameter:
     return Parameter(name, ("membrane", "material", name), symbol, words, kind, change=Change.MATERIAL, **more)
+
+
+def _branches(name, symbol, words, **more) -> Parameter:
+    path = ("membrane", "material", "branches", name)
+    return Parameter(name, path, symbol, words, many=True, change=Change.MATERIAL, **more)
 
 
 def _unit(name, symbol, words, kind, change) -> Parameter:
@@ -133,6 +141,8 @@ _ROWS = (
     _material("exponents", "αᵢ", "Ogden exponents", least=-math.inf, many=True),
     _material("thickness_coefficient", "c", "coefficient of the permittivity by the thickness", least=-math.inf),
     _material("stretch_coefficient", "c", "coefficient of the permittivity by the stretches", least=-math.inf),
+    _branches("modulus_ratio", "g", "ratio of moduli of a Maxwell branch", closed=True),
+    _branches("relaxation_time", "τ", "relaxation time of a Maxwell branch"),
     _unit("shear_modulus", "μ", "shear modulus", "Pa", Change.BREAKDOWN),
     _unit("thickness", "H", "undeformed thickness", "m", Change.LOADING),
     _unit("radius", "A", "undeformed radius", "m", Change.LOADING),
@@ -143,16 +153,30 @@ PARAMETERS = {row.name: row for row in _ROWS}
 
 
 def parameter_of(name: str) -> Parameter:
-    """The row of a parameter: a published one, or that of a constant of a user's material.
+    """The row of a parameter: a published one, an entry of a list, or that of a constant of a user's material or of a branch.
 
     >>> parameter_of("chamber_volume").label, parameter_of("c1").change.name, parameter_of("my_constant").path
     ('chamber volume V_C / A³', 'MATERIAL', ('membrane', 'material', 'my_constant'))
+    >>> parameter_of("relaxation_time[1]").path, parameter_of("branches[0].stretch_limit").label
+    (('membrane', 'material', 'branches', 1, 'relaxation_time'), 'stretch limit J of branches[0]')
     """
+    of_branch = re.fullmatch(r"branches\[(\d{1,3})\]\.([^.]+)", name)
+    if of_branch:
+        row = parameter_of(of_branch[2])
+        path = ("membrane", "material", "branches", int(of_branch[1]), "material", *row.path[2:])
+        symbol = f"{row.symbol} of branches[{of_branch[1]}]"
+        return dataclasses.replace(row, name=name, path=path, symbol=symbol, change=Change.MATERIAL, default=None)
+    entry = re.fullmatch(r"(\w+)\[(\d{1,3})\]", name)
+    if entry:
+        row, place = parameter_of(entry[1]), int(entry[2])
+        *before, last = row.path
+        path = (*before, place, last) if "branches" in before else (*before, last, place)
+        return dataclasses.replace(row, name=name, path=path, symbol=f"{row.symbol}[{place}]", many=False)
     return PARAMETERS.get(name) or _material(name, name, name.replace("_", " "), least=-math.inf)
 
 
-def place_of(name: str) -> tuple[str, ...]:
-    """Where a scene keeps a parameter."""
+def place_of(name: str) -> tuple[typing.Any, ...]:
+    """Where a scene keeps a parameter: names of fields, and numbers of entries."""
     return parameter_of(name).path
 
 

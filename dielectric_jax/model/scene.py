@@ -4,7 +4,6 @@ The scene decides what is integrated: which derivatives the loading's condition 
 """
 
 import dataclasses
-import functools
 import typing
 
 import equinox as eqx
@@ -40,7 +39,7 @@ from .membrane import Membrane
 from .parameters import PARAMETERS, parameter_of, place_of
 from .resolution import SCANNED_LOAD
 from .units import Units, is_concrete
-from .viscoelastic import Viscoelastic
+from .viscoelastic import Maxwell, Viscoelastic, spring_and_branches
 
 __all__ = ["Scene", "Window", "describe", "pair"]
 
@@ -156,10 +155,13 @@ class Scene(eqx.Module):
 
         Parameters of the units are in SI, and what they change is the film: the loading and a constant breakdown field stay
         what they are in SI, so that their dimensionless numbers change. All others are dimensionless, in the new units where
-        both are given: the order of the parameters does not matter.
+        both are given: the order of the parameters does not matter. An entry of a list is `moduli[0]`; `modulus_ratio` and
+        `relaxation_time` are one number for each branch of a viscoelastic film, `branches[0].stretch_limit` a constant of a
+        branch's spring, and `stretch_limit` that of the equilibrium spring.
         """
         scene = self
-        for name, value in sorted(parameters.items(), key=lambda item: place_of(item[0])[0] != "units"):
+        named = [pair for name, value in parameters.items() for pair in self._by_branches(name, value)]
+        for name, value in sorted(named, key=lambda item: place_of(item[0])[0] != "units"):
             path = scene.path_of(name)
             if path[0] == "units":
                 scene = scene._in(_rebuild(scene.units, (), {name: value}))
@@ -178,16 +180,38 @@ class Scene(eqx.Module):
         except ValueError:
             return False
 
-    def path_of(self, name: str) -> tuple[str, ...]:
+    def value_of(self, name: str) -> typing.Any:
+        """The value of a parameter, a tuple of a list, None of the filling that another gives; raises ValueError as `path_of`."""
+        return _at(self, self.path_of(name))
+
+    def _by_branches(self, name: str, value) -> list[tuple[str, typing.Any]]:
+        """A parameter of all branches as one of each."""
+        if parameter_of(name).path[2:] != ("branches", name):
+            return [(name, value)]
+        count = len(_at(self, self.path_of(name)))
+        values = list(value) if isinstance(value, (list, tuple)) or np.ndim(value) else [value]
+        if len(values) != count:
+            raise ValueError(f"`{name}` must be one number for each branch, {count}, but is {shown(value)}.")
+        return [(f"{name}[{k}]", own) for k, own in enumerate(values)]
+
+    def path_of(self, name: str) -> tuple[typing.Any, ...]:
         """Where the scene keeps a parameter; raises ValueError where it has none of that name."""
-        path = place_of(name)
-        if path[:2] == ("membrane", "material") and not self._holds(path):
+        path = own = place_of(name)
+        material = self.membrane.material
+        inner: tuple[str, ...] = ()
+        while (
+            path[:2] == ("membrane", "material") and not self._holds(path) and isinstance(material, AbstractDielectric)
+        ):
             # the elasticity of a dielectric, or the spring that a viscoelastic film is at rest
-            part = "equilibrium" if isinstance(self.membrane.material, Viscoelastic) else "elastic"
-            path = (*path[:2], part, path[-1])
+            part = "equilibrium" if isinstance(material, Viscoelastic) else "elastic"
+            material, inner = getattr(material, part, None), (*inner, part)
+            path = (*own[:2], *inner, *own[2:])
         if name not in PARAMETERS and not self._holds(path):
-            own = dict.fromkeys((*PARAMETERS, *constants_of(self.membrane.material)))
-            raise ValueError(f"`{name}` must be one of {', '.join(own)}, but is not a parameter of a scene.")
+            known = dict.fromkeys((*PARAMETERS, *constants_of(self.membrane.material)))
+            known |= dict.fromkeys(
+                f"branches[{k}].{n}" for k, b in enumerate(self._branches) for n in constants_of(b.material)
+            )
+            raise ValueError(f"`{name}` must be one of {', '.join(known)}, but is not a parameter of a scene.")
         owner = parameter_of(name).owner
         if isinstance(self.loading, ChargeControl) and path[0] == "loading":
             path = ("loading", *path)
@@ -200,15 +224,30 @@ class Scene(eqx.Module):
         return path
 
     def check_varies(self, name: str) -> None:
-        """Raises ValueError for a parameter that the scene does not have, or whose value is a list of numbers."""
-        if isinstance(functools.reduce(getattr, self.path_of(name), self), tuple):
-            raise ValueError(f"`{name}` must not vary, because its value is a list.")
+        """Raises ValueError for a parameter that a diagram cannot vary with.
 
-    def _holds(self, path: tuple[str, ...]) -> bool:
+        The scene does not have it, its value is a list of numbers, or it is one of a branch, on which a membrane at rest does
+        not depend.
+        """
+        path = self.path_of(name)
+        if isinstance(_at(self, path), tuple):
+            raise ValueError(f"`{name}` must not vary, because its value is a list.")
+        if path[2:3] == ("branches",):
+            raise ValueError(
+                f"`{name}` must not vary here, because the membrane at rest does not depend on it; `dj.follow` and `dj.bounds` do."
+            )
+
+    @property
+    def _branches(self) -> tuple[Maxwell, ...]:
+        return spring_and_branches(self.membrane.material)[1]
+
+    def _holds(self, path: tuple[typing.Any, ...]) -> bool:
         """Whether there is a parameter at this place."""
-        module = self
-        for step in path[:-1]:
-            module = getattr(module, step, None)
+        if isinstance(path[-1], int):
+            return isinstance(_at(self, path[:-1]), tuple) and _at(self, path) is not None
+        module = _at(self, path[:-1])
+        if isinstance(module, tuple):  # the branches
+            module = module[0] if module else None
         if isinstance(module, AbstractMaterial):
             return path[-1] in constants_of(module)
         return module is not None and path[-1] in _fields(module)
@@ -269,10 +308,24 @@ def _check_law(law, units: Units) -> None:
             )
 
 
-def _rebuild(module, path, changes):
-    """A copy with fields changed, through the constructors, so that every check runs again."""
+def _at(module: typing.Any, path) -> typing.Any:
+    """What stands at a place, of branches a tuple; None where there is nothing."""
+    for step in path:
+        if isinstance(step, int):
+            module = module[step] if isinstance(module, tuple) and step < len(module) else None
+        elif isinstance(module, tuple):
+            module = tuple(getattr(m, step, None) for m in module)
+        else:
+            module = getattr(module, step, None)
+    return module
+
+
+def _rebuild(module: typing.Any, path, changes) -> typing.Any:
+    """A copy with fields or entries changed, through the constructors, so that every check runs again."""
     if path:
-        changes = {path[0]: _rebuild(getattr(module, path[0]), path[1:], changes)}
+        changes = {path[0]: _rebuild(_at(module, path[:1]), path[1:], changes)}
+    if isinstance(module, tuple):
+        return tuple(changes.get(k, entry) for k, entry in enumerate(module))
     return type(module)(**{n: getattr(module, n) for n in _fields(module)} | changes)
 
 

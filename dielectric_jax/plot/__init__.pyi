@@ -1,4 +1,4 @@
-from .animation import animate_ramp, plot_ramp, ramp_path
+from .animation import animate_ramp, animate_run, plot_ramp, ramp_path
 from .diagrams import chamber_voltages, plot_chamber, plot_diagram, plot_pressure_volume, plot_voltage_volume
 from .drawing import (
     COLOURS,
@@ -13,7 +13,7 @@ from .drawing import (
     viewed,
     voltage_text,
 )
-from .loops import plot_courses, plot_runs
+from .loops import plot_courses, plot_follow, plot_runs, plot_snap_voltages
 from .maps import plot_fold_curves, plot_regime_map
 from .materials import balloon_pressure, plot_material, tension_curves
 from .modes import plot_mode, plot_spectra
@@ -23,6 +23,7 @@ __all__ = [
     "COLOURS",
     "add_legend",
     "animate_ramp",
+    "animate_run",
     "balloon_pressure",
     "breakdown_latitudes",
     "chamber_voltages",
@@ -38,12 +39,14 @@ __all__ = [
     "plot_diagram",
     "plot_distribution",
     "plot_fold_curves",
+    "plot_follow",
     "plot_material",
     "plot_mode",
     "plot_pressure_volume",
     "plot_ramp",
     "plot_regime_map",
     "plot_runs",
+    "plot_snap_voltages",
     "plot_spectra",
     "plot_voltage_volume",
     "point_entries",

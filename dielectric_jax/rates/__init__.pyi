@@ -1,7 +1,7 @@
 from .events import delay, peak_pressure, snap_voltage
 from .following import bounds, follow
 from .protocols import AbstractProtocol, Hold, Ramp, Steps, Triangle
-from .runs import Run, RunEvent, Snap
+from .runs import Run, RunEvent, Snap, estimate_errors
 from .slow_passage import SlowPassage, slow_passage
 
 __all__ = [
@@ -16,6 +16,7 @@ __all__ = [
     "Triangle",
     "bounds",
     "delay",
+    "estimate_errors",
     "follow",
     "peak_pressure",
     "slow_passage",

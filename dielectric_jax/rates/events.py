@@ -52,8 +52,7 @@ def _way(asked: _Asked, given: Given) -> Asking[_Followed]:
     scene = given.membrane if given.loading is None else Scene(given.membrane, given.loading)
     legs = _legs(asked, given)
     tolerance = TOLERANCE_SHARE * asked.tolerance ** (2 / 3)
-    # a run by this setting is not repeated on a finer mesh
-    setting = setting_of(scene, legs, MESHES[0], tolerance, again=None)
+    setting = setting_of(scene, legs, {}, MESHES[0], tolerance)
     setting, now = yield from begun(setting, asked.start, {n: own[0].at(0.0) for n, own in legs.items()})
     rest, x = now.shape, now.x
     leapt, found, phase, kappa = rest, None, None, 1.0
@@ -72,9 +71,10 @@ def _way(asked: _Asked, given: Given) -> Asking[_Followed]:
 
 
 def _record(found: Passed, rest, x, leapt, kappa: float) -> Record:
-    steps = len(found.instants)
+    begins = found.instants[:-1]
+    steps = len(begins)
     size = STEPS_OF_A_RECORD * math.ceil(max(steps, 1) / STEPS_OF_A_RECORD)
-    instants = [*found.instants, *[found.instants[-1] if steps else found.instant] * (size - steps)]
+    instants = [*begins, *[begins[-1] if steps else found.instant] * (size - steps)]
     stacked = jax.tree.map(lambda *v: np.stack(v), *instants)
     sigma = np.array([*found.sigma[1:], *[found.sigma[-1]] * (size - steps)])
     return Record(rest, x, leapt, kappa, stacked, sigma, steps)

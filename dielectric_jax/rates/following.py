@@ -10,7 +10,7 @@ from ..numerics import check_between, shown
 from .passages import Asking, Now, Passed, Setting, passed
 from .phases import Phase, begun, phases_of, scale_of, setting_of
 from .programs import Seen
-from .protocols import Linear, legs_of
+from .protocols import Linear, document_of, legs_of
 from .requests import serve
 from .resolution import LANDING_TOLERANCE, MESHES, MOST_JUMPS, TOLERANCE_SHARE, VOLUME_SCALE
 from .runs import Run, at_rest, dataset_of, event_of, slopes_of
@@ -110,7 +110,9 @@ def _run(setting: Setting, now: Now, seen: Seen | None, time: float, reason: str
         (*events, end),
         dataset_of(now.rows),
         max(now.defects, default=0.0),
+        setting.protocol,
         slopes_of(now.rows),
+        tuple(row.instant for row in now.rows),
         setting.again,
     )
 
@@ -182,25 +184,28 @@ def follow(
         many = isinstance(own, (list, tuple))
         if many and len(own) != len(scenes):
             raise ValueError(f"`{name}` must be one protocol, or one a scene, {len(scenes)}, but are {len(own)}.")
-        given.append([(name, legs_of(name, p, end)) for p in (own if many else [own] * len(scenes))])
+        each = own if many else [own] * len(scenes)
+        given.append([(name, legs_of(name, p, end), document_of(p)) for p in each])
     for own in scenes:
         if not isinstance(own, (Scene, Membrane)):
             raise ValueError(f"`scene` must be a Scene, a Membrane or a sequence of them, but is {shown(own)}.")
-    runs = [
-        _run_of(s, dict(legs), start, MESHES[0], tolerance)
-        for s, legs in zip(scenes, zip(*given, strict=True), strict=True)
-    ]
+    asked = {"start": start, "until": duration, "tolerance": tolerance}
+    runs = []
+    for own, named in zip(scenes, zip(*given, strict=True), strict=True):
+        protocol = {name: said for name, _, said in named} | asked
+        runs.append(_run_of(own, {name: legs for name, legs, _ in named}, protocol, MESHES[0], tolerance))
     found = serve(runs)
     return found[0] if one else found
 
 
-def _run_of(scene, legs: dict, start: str, mesh: tuple[int, int], tolerance: float) -> Asking[Run]:
+def _run_of(scene, legs: dict, protocol: dict, mesh: tuple[int, int], tolerance: float) -> Asking[Run]:
     """The generator of one run."""
 
-    def again() -> Run:
-        return serve([_run_of(scene, legs, start, MESHES[1], tolerance / 30)])[0]
+    def again() -> Asking[Run]:
+        return _run_of(scene, legs, protocol, MESHES[1], tolerance / 30)
 
-    return _followed(setting_of(scene, legs, mesh, TOLERANCE_SHARE * tolerance ** (2 / 3), again), legs, start)
+    setting = setting_of(scene, legs, protocol, mesh, TOLERANCE_SHARE * tolerance ** (2 / 3), again)
+    return _followed(setting, legs, protocol["start"])
 
 
 def bounds(scene: Scene, *, start: str = "relaxed") -> tuple[Diagram, Run]:
@@ -220,9 +225,14 @@ def bounds(scene: Scene, *, start: str = "relaxed") -> tuple[Diagram, Run]:
         raise ValueError(f"`scene` must be a Scene, but is a {type(scene).__name__}.")
     if start not in _STARTS:
         raise ValueError(f'`start` must be "relaxed" or "fresh", but is {start!r}.')
-
-    def again() -> Run:
-        return serve([_frozen(setting_of(scene, {}, MESHES[1], LANDING_TOLERANCE / 30, again), start)])[0]
-
-    fast = serve([_frozen(setting_of(scene, {}, MESHES[0], LANDING_TOLERANCE, again), start)])[0]
+    fast = serve([_run_frozen(scene, start, MESHES[0], LANDING_TOLERANCE)])[0]
     return voltage_volume(at_rest(scene)), fast
+
+
+def _run_frozen(scene: Scene, start: str, mesh: tuple[int, int], tolerance: float) -> Asking[Run]:
+    """The generator of the infinitely fast limit."""
+
+    def again() -> Asking[Run]:
+        return _run_frozen(scene, start, MESHES[1], tolerance / 30)
+
+    return _frozen(setting_of(scene, {}, {"start": start}, mesh, tolerance, again), start)

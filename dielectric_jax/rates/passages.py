@@ -15,7 +15,7 @@ from .programs import EVENTS, Seen, Start, signs_of
 from .protocols import Linear
 from .requests import Request
 from .resolution import FIRST_STEP, LANDING_TOLERANCE, MOST_CALLS, MOST_SECTIONS
-from .runs import Row, Run, RunEvent, event_of
+from .runs import Row, RunEvent, event_of
 from .stepping import Instant
 
 __all__ = ["Now", "Passed", "Setting", "passed"]
@@ -46,7 +46,7 @@ class Load(eqx.Module):
 
 
 class Setting(typing.NamedTuple):
-    """What a run has throughout: `driven` is what is prescribed, and `again` makes the same run finer."""
+    """What a run has throughout: `driven` is what is prescribed, `protocol` how, and `again` is the same run, finer."""
 
     scene: Scene | Membrane
     membrane: Membrane
@@ -54,7 +54,8 @@ class Setting(typing.NamedTuple):
     driven: str
     mesh: tuple[int, int]
     tolerance: float
-    again: Callable[[], Run]
+    protocol: dict
+    again: Callable[[], Generator]
 
     @property
     def grid(self) -> Grid:
@@ -79,10 +80,7 @@ class Setting(typing.NamedTuple):
 
 
 class Passed(typing.NamedTuple):
-    """How a leg ended: an event of `EVENTS`, "lost" or "unfinished"; the instant, what is seen of it, and of the steps.
-
-    `instants` are those from which the steps went, one fewer than `sigma`.
-    """
+    """How a leg ended: an event of `EVENTS`, "lost" or "unfinished"; the instant, what is seen of it, and the steps."""
 
     event: str
     instant: Instant
@@ -105,8 +103,8 @@ class Now:
     def note(self, phase: str, found: Passed, time: float | None) -> None:
         """Keeps the steps of a leg, all at one `time`, or at their own."""
         number = self.rows[-1].leg + 1 if self.rows else 0
-        for sigma, seen in zip(found.sigma, found.rows, strict=True):
-            self.rows.append(Row(float(seen.time) if time is None else time, phase, number, sigma, seen))
+        for sigma, seen, instant in zip(found.sigma, found.rows, found.instants, strict=True):
+            self.rows.append(Row(float(seen.time) if time is None else time, phase, number, sigma, seen, instant))
 
 
 class _Leg(typing.NamedTuple):
@@ -154,7 +152,7 @@ def passed(setting: Setting, now: Now, balance: Balance, limit: float, phase: st
         again = int(bool(rows))  # a further call begins where the one before ended
         rows += [Seen(*(v[k] for v in seen)) for k in range(again, smooth)]
         sigmas += [float(s) for s in ts[again:smooth]]
-        instants += [_at(ys, k) for k in range(known - 1)]
+        instants += [_at(ys, k) for k in range(again, smooth)]
         last = _at(ys, known - 1)
         if happened > 0 and known > 1:
             begin = _at(ys, known - 2)
@@ -163,11 +161,11 @@ def passed(setting: Setting, now: Now, balance: Balance, limit: float, phase: st
                 gained, dissipated, given = there.energy - energy, *instant.work
                 largest = max(abs(gained), abs(dissipated), abs(given), 1e-3)
                 now.defects.append(float(abs(gained + dissipated - given) / largest))
-            return Passed(event, instant, there, [*rows, there], [*sigmas, place], instants)
+            return Passed(event, instant, there, [*rows, there], [*sigmas, place], [*instants, instant])
         if happened > 0:  # at the start
             signs = np.where(leg.watched, signs_of(seen, limit, np)[-1], -np.inf)
             there = Seen(*(v[-1] for v in seen))
-            return Passed(EVENTS[int(np.argmax(signs))], last, there, [there], [sigma], [])
+            return Passed(EVENTS[int(np.argmax(signs))], last, there, [there], [sigma], [last])
         if known < 2 or ts[known - 1] - ts[known - 2] < 1e-9 * unit:
             return Passed("lost", last, rows[-1], rows, sigmas, instants)
         shape, x, work, first = last.shape, last.x, last.work, ts[known - 1] - ts[known - 2]

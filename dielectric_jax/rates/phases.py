@@ -144,8 +144,10 @@ def scale_of(setting: Setting, phase: Phase, moment: float) -> tuple[float, floa
     return math.copysign(unit, rate * (value or rate) if name == "voltage" else rate), unit
 
 
-def setting_of(scene, legs: dict, mesh: tuple[int, int], tolerance: float, again) -> Setting:
-    """What a run of these legs has throughout."""
+def setting_of(
+    scene, legs: dict, protocol: dict, mesh: tuple[int, int], tolerance: float, again: typing.Any = None
+) -> Setting:
+    """What a run of these legs has throughout; without `again` it is not repeated on a finer mesh."""
     membrane = scene.membrane if isinstance(scene, Scene) else scene
     driven = next((n for n in ("volume", "pressure") if n in legs), "voltage")
-    return Setting(scene, membrane, _condition(membrane, 1.0, 1.0), driven, mesh, tolerance, again)
+    return Setting(scene, membrane, _condition(membrane, 1.0, 1.0), driven, mesh, tolerance, protocol, again)

@@ -9,9 +9,10 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from ..model import plain
 from ..numerics import check_between, shown
 
-__all__ = ["AbstractProtocol", "Hold", "Leg", "Ramp", "Steps", "Triangle", "legs_of"]
+__all__ = ["AbstractProtocol", "Hold", "Leg", "Ramp", "Steps", "Triangle", "document_of", "legs_of"]
 
 
 class Linear(eqx.Module):
@@ -64,6 +65,10 @@ class AbstractProtocol(abc.ABC):
     def legs(self) -> list[Leg]:
         """The legs, from time 0."""
 
+    @abc.abstractmethod
+    def to_json(self) -> dict:
+        """The kind of `protocol` and its numbers, as in the files of the command `follow`."""
+
 
 class Ramp(AbstractProtocol):
     """`start` + `rate` t, until `stop` is reached; without `stop` until something happens.
@@ -84,6 +89,10 @@ class Ramp(AbstractProtocol):
         """One leg."""
         end = math.inf if self.stop is None else (self.stop - self.start) / self.rate
         return [Leg(0.0, end, Linear(self.start, self.rate, 0.0))]
+
+    def to_json(self):
+        """The rate, and where the ramp starts and stops."""
+        return {"protocol": "ramp", "rate": self.rate, "start": self.start, "stop": self.stop}
 
 
 class Steps(AbstractProtocol):
@@ -107,6 +116,10 @@ class Steps(AbstractProtocol):
             for (v, _), b, e in zip(self.steps, begins, ends, strict=True)
         ]
 
+    def to_json(self):
+        """The pairs (value, duration)."""
+        return {"protocol": "steps", "steps": [list(step) for step in self.steps]}
+
 
 class Hold(AbstractProtocol):
     """One value from time 0 on, for a `duration`; without it until nothing moves any more.
@@ -122,6 +135,10 @@ class Hold(AbstractProtocol):
     def legs(self):
         """One leg."""
         return [Leg(0.0, self.duration, Linear(self.value, 0.0, 0.0))]
+
+    def to_json(self):
+        """The value, and for how long."""
+        return {"protocol": "hold", "value": self.value, "duration": plain(self.duration)}
 
 
 class Triangle(AbstractProtocol):
@@ -145,6 +162,21 @@ class Triangle(AbstractProtocol):
             Leg(0.0, middle, Linear(first, math.copysign(self.rate, turn - first), 0.0)),
             Leg(middle, end, Linear(turn, math.copysign(self.rate, last - turn), middle)),
         ]
+
+    def to_json(self):
+        """The three values, and the rate."""
+        return (
+            {"protocol": "triangle"}
+            | dict(zip(("start", "turn", "stop"), self.corners, strict=True))
+            | {"rate": self.rate}
+        )
+
+
+def document_of(protocol) -> dict:
+    """`to_json` of a protocol, of a number that is held, or the word for a function."""
+    if isinstance(protocol, AbstractProtocol):
+        return protocol.to_json()
+    return {"protocol": "function"} if callable(protocol) else Hold(protocol).to_json()
 
 
 def legs_of(name: str, protocol, end: float = math.inf) -> list[Leg]:

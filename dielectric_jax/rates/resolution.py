@@ -8,6 +8,8 @@ MOST_NEWTON_STEPS = 8
 FAILED_STEP = 1e3
 # points from the apex to the rim at which hoop tension and breakdown are looked for
 LOOK_POINTS = 65
+# points of a profile, evenly spaced in R: a drawn balloon looks smooth
+PROFILE_POINTS = 129
 # the first step of a leg, as a share of its scale of σ
 FIRST_STEP = 1e-3
 # steps of one call of the compiled program; a longer leg takes several

@@ -122,7 +122,7 @@ def slow_passage(scene: Scene) -> SlowPassage:
     fold = snaps[0].state
     branches = spring_and_branches(scene.membrane.material)[1]
     elastic = dataclasses.replace(scene, membrane=at_start(scene.membrane, "relaxed"))
-    setting = setting_of(elastic, {}, MESHES[1], LANDING_TOLERANCE, again=None)
+    setting = setting_of(elastic, {}, {}, MESHES[1], LANDING_TOLERANCE)
     setting, _ = serve([begun(setting, "relaxed", {})])[0]
     balance = setting.free({}, "voltage", 1.0)
     trial = trial_of(float(elastic.membrane.prestretch), fold, profile(elastic.membrane, fold), setting.grid)._replace(

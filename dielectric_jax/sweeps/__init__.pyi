@@ -1,6 +1,6 @@
 from .analysis import best_designs, compare_sweeps, count_sweep, export_sweep, plot_sweep, select_regime
 from .axes import Axis, read_scenes, samples, zipped
-from .documents import check_dimensionless, number, other_filling_left_out, read_toml, refuse, scene_of, table
+from .documents import check_dimensionless, number, one_of, other_filling_left_out, read_toml, refuse, scene_of, table
 from .specification import read_specification
 from .store import need
 from .sweeps import open_sweep, sweep
@@ -16,6 +16,7 @@ __all__ = [
     "export_sweep",
     "need",
     "number",
+    "one_of",
     "open_sweep",
     "other_filling_left_out",
     "plot_sweep",

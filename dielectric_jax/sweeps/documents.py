@@ -14,6 +14,7 @@ from ..model import (
     ConstantBreakdown,
     ConstantPressure,
     Gent,
+    Maxwell,
     Membrane,
     MooneyRivlin,
     NeoHookean,
@@ -21,6 +22,7 @@ from ..model import (
     Scene,
     Units,
     VHBBreakdown,
+    Viscoelastic,
     Window,
     parameter_of,
     place_of,
@@ -114,20 +116,65 @@ def _pair(name: str, value: typing.Any) -> tuple[float, float] | None:
     return number("scene", name, value[0]), number("scene", name, value[1])
 
 
+def _elastic(where: str, key: str, material: str, constants: dict) -> typing.Any:
+    """A material by its name, with its own constants; `key` is what names it in the table `where`."""
+    for name in constants:
+        if name not in {constant.name for constant in dataclasses.fields(_MATERIALS[material])}:
+            raise ValueError(f"`{name}` in [{where}] must be left out, because the `{key}` {material!r} has none.")
+    return _MATERIALS[material](**constants)
+
+
+def _branch(where: str, given: typing.Any) -> Maxwell:
+    """A Maxwell branch: `modulus_ratio`, `relaxation_time`, and its `material` with its constants."""
+    own = dict(table(where, given))
+    constants = [n for n, row in PARAMETERS.items() if row.path[:2] == ("membrane", "material") and len(row.path) == 3]
+    refuse(where, own, ("material", "modulus_ratio", "relaxation_time", *constants))
+    material = one_of(where, "material", own.pop("material", "gent"), _MATERIALS)
+    numbers = {
+        n: values(where, n, v) if parameter_of(n).many and n in constants else number(where, n, v)
+        for n, v in own.items()
+    }
+    for name in ("modulus_ratio", "relaxation_time"):
+        if name not in numbers:
+            raise ValueError(f"`{name}` must be given in [{where}], but is not.")
+    both = {n: numbers.pop(n) for n in ("modulus_ratio", "relaxation_time")}
+    return Maxwell(_elastic(where, "material", material, numbers), **both)
+
+
+def _film(given: dict[str, typing.Any], constants: dict) -> typing.Any:
+    """The material of a scene, with branches where it is viscoelastic: then `elastic` names the equilibrium spring."""
+    kind = one_of("scene", "material", given.get("material", "gent"), (*_MATERIALS, "viscoelastic"))
+    if kind != "viscoelastic":
+        for name in ("elastic", "branches"):
+            if name in given:
+                raise ValueError(
+                    f"`{name}` in [scene] must be given with `material` viscoelastic only, but it is {kind!r}."
+                )
+        return _elastic("scene", "material", kind, constants)
+    elastic = one_of("scene", "elastic", given.get("elastic", "gent"), _MATERIALS)
+    branches = given.get("branches")
+    if not isinstance(branches, list):
+        what = "is missing" if branches is None else f"is {shown(branches)}"
+        raise ValueError(f"`branches` must be tables [[scene.branches]] of a viscoelastic material, but {what}.")
+    made = [_branch(f"scene.branches[{k}]", own) for k, own in enumerate(branches)]
+    return Viscoelastic(_elastic("scene", "elastic", elastic, constants), made)
+
+
 def scene_of(given: dict[str, typing.Any], constants: dict[str, typing.Any] | None = None) -> Scene:
     """The scene with parameters by their published names, `material` and `breakdown` ("vhb" or a field), and windows.
 
-    `constants` (shear_modulus, thickness, radius, permittivity, in SI) are those of the units that the scene carries; its
-    other numbers are dimensionless nevertheless. Without them this is the inverse of `describe`. Raises ValueError for names
-    that a scene does not have.
+    A viscoelastic material has an `elastic` spring, whose constants stand beside it, and `branches`, a list of tables with
+    `modulus_ratio`, `relaxation_time` and their own `material` and constants. `constants` (shear_modulus, thickness, radius,
+    permittivity, in SI) are those of the units that the scene carries; its other numbers are dimensionless nevertheless. Without
+    them this is the inverse of `describe`. Raises ValueError for names that a scene does not have.
 
     >>> scene = scene_of({"material": "neo-hookean", "pressure": 1.5, "prestretch": 1.2})
     >>> float(scene.loading.pressure), float(scene.membrane.prestretch)
     (1.5, 1.2)
     """
     names = [n for n, row in PARAMETERS.items() if row.path[-2] in _PLACES and n != "volume"]
-    refuse("scene", given, ("material", "breakdown", "stretch_window", "load_window", *names))
-    material = one_of("scene", "material", given.get("material", "gent"), _MATERIALS)
+    words = ("material", "elastic", "branches", "breakdown", "stretch_window", "load_window")
+    refuse("scene", given, (*words, *names))
     numbers = {
         n: values("scene", n, v) if parameter_of(n).many else number("scene", n, v)
         for n, v in given.items()
@@ -146,12 +193,8 @@ def scene_of(given: dict[str, typing.Any], constants: dict[str, typing.Any] | No
     units = Units(**{n: number("units", n, v) for n, v in constants.items()}) if constants else None
     if not field and units is not None:
         parts["breakdown"] |= {n: getattr(units, n) for n in ("shear_modulus", "relative_permittivity")}
-    for name in parts["material"]:
-        if name not in {constant.name for constant in dataclasses.fields(_MATERIALS[material])}:
-            raise ValueError(f"`{name}` in [scene] must be left out, because the `material` {material!r} has none.")
     law = (ConstantBreakdown if field else VHBBreakdown)(*field, **parts["breakdown"])
-    film = _MATERIALS[material](**parts["material"])
-    membrane = Membrane(film, breakdown=law, **parts["membrane"])
+    membrane = Membrane(_film(given, parts["material"]), breakdown=law, **parts["membrane"])
     loading = parts["loading"]
     if ("pressure" in loading) == ("volume" in loading):
         raise ValueError("`pressure` or `chamber_volume` must be given, one of the two, but both or neither are.")

@@ -21,6 +21,7 @@ from dielectric_jax.design import area_strain as design
 from dielectric_jax.design import regime_maps
 from dielectric_jax.diagram import diagrams as diagram
 from dielectric_jax.diagram import states
+from dielectric_jax.rates import following
 from dielectric_jax.sweeps import sweeps
 
 LONG = "9" * 5000
@@ -38,6 +39,7 @@ COMMANDS = {
     "calibrate": ["data.csv"],
     "regimes": ["regimes.toml"],
     "optimise": ["design.toml"],
+    "follow": ["follow.toml"],
     "paper": ["--output", "paper"],
 }
 
@@ -60,6 +62,7 @@ def stopped(monkeypatch, tmp_path):
         (sweeps, "_run"),
         (regime_maps, "surface_over"),
         (design, "scan_designs"),
+        (following, "serve"),
         (paper, "Paper"),
         (dj, "calibrate"),
         (dj.Surface, "build"),
@@ -205,6 +208,27 @@ chamber_volume = [100.0, 25000.0]
 initial_pressure = [0.3, 0.6]
 [regimes]
 points = [40, 40]
+""",
+    "follow": """
+[scene]
+material = "viscoelastic"
+elastic = "gent"
+stretch_limit = 110.0
+branches = [{ modulus_ratio = 1.0, relaxation_time = 2.0 }]
+chamber_volume = 1600.0
+initial_volume = 2.42
+[units]
+thickness = 1e-3
+[voltage]
+protocol = "ramp"
+rate = [0.01, 0.1]
+start = 0.0
+stop = 0.3
+[follow]
+start = "fresh"
+until = 10.0
+tolerance = 1e-5
+check = false
 """,
 }
 LITERALS = [

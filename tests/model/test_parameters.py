@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 
+import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ import dielectric_jax as dj
 from benchmarks.acceptance import parameters as acceptance
 from dielectric_jax.apps.options import read_arguments
 from dielectric_jax.design import regime_edges
-from dielectric_jax.model import PARAMETERS, Change, describe
+from dielectric_jax.model import PARAMETERS, Change, describe, parameter_of
 from dielectric_jax.model.scene import constants_of
 from dielectric_jax.sweeps import scene_of, zipped
 
@@ -22,6 +23,8 @@ MOONEY = dj.Scene(dj.Membrane(dj.MooneyRivlin(0.48, 0.02)), FILLED)
 OGDEN = dj.Scene(dj.Membrane(dj.Ogden((1.0, 0.02), (1.8, 3.0))), FILLED)
 CHAIN = dj.Scene(dj.Membrane(dj.ArrudaBoyce(80.0)), FILLED)
 DIELECTRIC = dj.Scene(dj.Membrane(dj.Electrostrictive(dj.Gent(120.0), 0.01, -0.02)), FILLED)
+BRANCHES = [dj.Maxwell(dj.Gent(55.0), 0.6, 0.1), dj.Maxwell(dj.Ogden((1.0, 0.02), (1.8, 3.0)), 0.4, 10.0)]
+VISCOELASTIC = dj.Scene(dj.Membrane(dj.Viscoelastic(dj.Gent(110.0), BRANCHES), 1.1), FILLED)
 IN_SI = dj.Scene.from_si(
     dj.Membrane(),
     dj.Chamber(volume=18e-3, initial_volume=27e-6, atmospheric_pressure=100e3),
@@ -46,6 +49,8 @@ CASES = {
     "exponents": (OGDEN, (1.7, 3.2)),
     "thickness_coefficient": (DIELECTRIC, 0.02),
     "stretch_coefficient": (DIELECTRIC, -0.01),
+    "modulus_ratio": (VISCOELASTIC, (0.5, 0.3)),
+    "relaxation_time": (VISCOELASTIC, (0.2, 8.0)),
     "shear_modulus": (IN_SI, 60e3),
     "thickness": (IN_SI, 0.5e-3),
     "radius": (IN_SI, 20e-3),
@@ -65,7 +70,8 @@ def test_replace_changes_what_the_row_says(name):
     row = PARAMETERS[name]
     assert scene.has(name)
     changed = scene.replace(**{name: value})
-    np.testing.assert_allclose(describe(changed)[name], value, rtol=1e-15)
+    said, before = acceptance.numbers_of(changed), acceptance.numbers_of(scene)
+    np.testing.assert_allclose(said[name], value, rtol=1e-15)
 
     def differ(part):
         pairs = zip(jax.tree.leaves(part(scene)), jax.tree.leaves(part(changed)), strict=True)
@@ -75,7 +81,7 @@ def test_replace_changes_what_the_row_says(name):
     assert differ(lambda s: s.membrane.prestretch) == (row.change is Change.PRESTRETCH)
     assert differ(lambda s: s.membrane.breakdown) == (row.change is Change.BREAKDOWN)
     # only what follows from the parameter changes in the description
-    told = {n: v for n, v in describe(changed).items() if v != describe(scene)[n]}
+    told = {n: v for n, v in said.items() if v != before[n]}
     in_si = {"shear_modulus", "thickness", "radius", "permittivity"}
     assert name in told
     assert row.name in in_si or set(told) == {name}
@@ -84,12 +90,69 @@ def test_replace_changes_what_the_row_says(name):
 @pytest.mark.parametrize("name", [n for n in PARAMETERS if CASES[n][0] not in (DIELECTRIC, IN_SI) and n != "volume"])
 def test_documents_give_the_scene_back(name):
     scene, value = CASES[name]
-    described = describe(scene.replace(**{name: value}))
+    changed = scene.replace(**{name: value})
+    described = describe(changed)
     assert describe(scene_of(described)) == described
+    assert eqx.tree_equal(scene_of(described), changed)
 
 
-# a field scale and permittivities of stretch are not given on the command line, and units by --si
-NO_OPTIONS = {"breakdown_field_scale", "thickness_coefficient", "stretch_coefficient"}
+def test_entries_of_lists_and_constants_of_branches():
+    """One number of a list, and those of a branch's own spring, each at its place in the film."""
+    names = ("modulus_ratio[1]", "relaxation_time[0]", "branches[0].stretch_limit", "branches[1].moduli[0]")
+    changed = VISCOELASTIC.replace(**dict(zip(names, (0.3, 0.2, 60.0, 1.01), strict=True)), stretch_limit=90.0)
+    first = dj.Maxwell(dj.Gent(60.0), 0.6, 0.2)
+    second = dj.Maxwell(dj.Ogden((1.01, 0.02), (1.8, 3.0)), 0.3, 10.0)
+    assert eqx.tree_equal(changed.membrane.material, dj.Viscoelastic(dj.Gent(90.0), [first, second]))
+    assert [float(changed.value_of(name)) for name in names] == [0.3, 0.2, 60.0, 1.01]
+    assert float(OGDEN.replace(**{"moduli[1]": 0.01}).membrane.material.moduli[1]) == 0.01
+    assert not VISCOELASTIC.has("relaxation_time[2]") and not GENT.has("relaxation_time")
+    assert parameter_of("relaxation_time[1]").label == "relaxation time of a Maxwell branch τ[1]"
+    one = VISCOELASTIC.replace(**{"branches[0].stretch_limit": 60.0})
+    with pytest.raises(ValueError, match=r"`modulus_ratio` must be one number for each branch, 2, but is 0.5"):
+        one.replace(modulus_ratio=0.5)
+    with pytest.raises(ValueError, match=r"`branches\[2\].c1` must be one of .*branches\[0\].stretch_limit"):
+        one.replace(**{"branches[2].c1": 0.5})
+
+
+def test_what_acts_in_time_alone_is_refused_by_verbs_that_know_no_time():
+    """Diagrams are those of the equilibrium spring: parameters of branches must not vary there, and cannot be fitted."""
+    for name in ("relaxation_time[0]", "branches[0].stretch_limit"):
+        with pytest.raises(ValueError, match=r"must not vary here, because the membrane at rest .* `dj.follow`"):
+            regime_edges(VISCOELASTIC, {name: (0.5, 1.0)})
+    with pytest.raises(ValueError, match="`membrane` must have an elastic material"):
+        dj.calibrate([0.5, 1.0, 2.0], [1.0, 1.4, 1.8], membrane=VISCOELASTIC.membrane)
+
+
+def test_documents_of_viscoelastic_scenes_that_are_refused():
+    scene = {"chamber_volume": 1600.0, "initial_volume": 2.42, "material": "viscoelastic"}
+    branch = {"modulus_ratio": 1.0, "relaxation_time": 2.0}
+    for words, more in (
+        (r"`branches` must be tables \[\[scene.branches\]\]", {}),
+        ("`modulus_ratio` must be given in .scene.branches.0..", {"branches": [{}]}),
+        ("`relaxation_tme` in .scene.branches.0.. must be one of", {"branches": [{**branch, "relaxation_tme": 1.0}]}),
+        ("`c1` in .scene.branches.0.. must be left out", {"branches": [{**branch, "c1": 1.0}]}),
+        (
+            "`relaxation_time` must be positive and finite, but is -1.0",
+            {"branches": [{**branch, "relaxation_time": -1}]},
+        ),
+        ("`elastic` in .scene. must be one of gent", {"branches": [branch], "elastic": "rubber"}),
+        (
+            "`branches` in .scene. must be given with `material` viscoelastic",
+            {"branches": [branch], "material": "gent"},
+        ),
+    ):
+        with pytest.raises(ValueError, match=words):
+            scene_of(scene | more)
+
+
+# a field scale, permittivities of stretch and branches are not options, and units are by --si
+NO_OPTIONS = {
+    "breakdown_field_scale",
+    "thickness_coefficient",
+    "stretch_coefficient",
+    "modulus_ratio",
+    "relaxation_time",
+}
 
 
 @pytest.mark.parametrize("name", [n for n, r in PARAMETERS.items() if n not in NO_OPTIONS and r.path[0] != "units"])
@@ -213,7 +276,7 @@ def snap_of_everything(share: float, place: str = "") -> float:
 
 
 def test_every_number_is_a_parameter_of_the_scene_of_everything():
-    lists, other_loadings = {"moduli", "exponents"}, {"initial_pressure", "pressure", "volume"}
+    lists, other_loadings = {n for n, row in PARAMETERS.items() if row.many}, {"initial_pressure", "pressure", "volume"}
     assert set(VARIED) == set(PARAMETERS) - lists - other_loadings
 
 

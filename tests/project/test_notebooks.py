@@ -17,6 +17,7 @@ def test_these_are_the_notebooks():
         "design",
         "explorer",
         "first_diagram",
+        "how_slow_is_slow",
         "paper",
         "stability_and_regimes",
         "sweep",

@@ -5,6 +5,8 @@ import pathlib
 
 import numpy as np
 import pytest
+from PIL import Image
+from scipy.interpolate import make_interp_spline
 
 import dielectric_jax as dj
 from dielectric_jax import rates
@@ -79,10 +81,61 @@ def test_dense_output(ramps):
 def test_pictures(ramps):
     """A line a run, a dotted one a jump, and two for the bounds; three panels over the time."""
     item, run = next((i, r) for i, r in ramps if i["scene"] == {"material": "M1", "pressure": 1.82, "rate": 0.01})
-    ax = dj.plot.plot_runs([run], bounds=rates.bounds(scene_of(item["scene"])), labels=["0.01"])
+    bounds = rates.bounds(scene_of(item["scene"]))
+    ax = dj.plot.plot_runs([run], bounds=bounds, labels=["0.01"])
     assert [line.get_linestyle() for line in ax.lines] == ["-", "-", ":", "-"]
     assert [t.get_text() for t in ax.get_legend().get_texts()] == ["at rest", "dashpots frozen", "0.01"]
     assert len(dj.plot.plot_courses(run).axes) == 3
+    figure = dj.plot.plot_follow([run], bounds=bounds, units=dj.Units())
+    assert figure.axes[0].get_xlabel() == "Volume V / ml" and len(figure.axes) == 4
+
+
+def test_the_picture_of_snaps_over_the_rate(ramps):
+    """A full circle a jump, an open one a creep-through, at the voltage of the snap, between the lines of the bounds."""
+    own = [(i, r) for i, r in ramps if i["scene"]["material"] == "M1" and i["scene"].get("pressure") == 1.82]
+    assert len(own) > 2
+    bounds = rates.bounds(scene_of(own[0][0]["scene"]))
+    ax = dj.plot.plot_snap_voltages([r for _, r in own], bounds=bounds, units=dj.Units(), time_unit="s")
+    kilovolts = dj.Units().read(1.0, "voltage")
+    shown = {float(x): float(y) for line in ax.lines[:-2] for x, y in zip(*line.get_data(), strict=True)}
+    for item, _ in own:
+        known = item["result"].get("fold") or item["result"]["fastest"]
+        assert shown[dj.Units().to_si(item["scene"]["rate"], "voltage")] == pytest.approx(
+            kilovolts * known["voltage"]["value"], rel=1e-5
+        )
+    levels = [float(line.get_ydata()[0]) / kilovolts for line in ax.lines[-2:]]
+    assert levels == pytest.approx([0.114568361, 0.281641022], rel=1e-7)
+    assert levels[0] < min(shown.values()) / kilovolts and max(shown.values()) / kilovolts < levels[1]
+    with pytest.raises(ValueError, match="`runs` must be ramps of the voltage"):
+        dj.plot.plot_snap_voltages([bounds[1]])
+
+
+def test_profiles(ramps):
+    """R s1 sin θ = p r²/2 with the stresses of the branches, and the volume, height and E/E_EB of the steps; between two steps nearly."""
+    for _, run in ramps[:3]:
+        for step in (0, len(run.dataset.step) // 2, len(run.dataset.step) - 1):
+            shape, known = run.profile(step), run.dataset.isel(step=step)
+            assert np.abs(shape.first_integral_defect()).max() < 1e-6
+            swept = np.pi * shape.r**2 * np.sin(shape.theta) * shape.stretch_1  # π r² dz/dR
+            volume = make_interp_spline(shape.radius, swept, k=5)
+            assert float(volume.integrate(0.0, 1.0)) == pytest.approx(float(known.volume), rel=1e-6)
+            assert shape.z[-1] == pytest.approx(float(known.height), rel=1e-12)
+            assert np.max(shape.breakdown_ratio) == pytest.approx(float(known.breakdown_ratio), abs=1e-4)
+        assert np.abs(run.profile(2.5).first_integral_defect()).max() < 1e-4
+    legs = np.flatnonzero(np.diff(run.dataset.leg.values))
+    for step in (-1, len(run.dataset.step), *(float(k) + 0.5 for k in legs[:1])):
+        with pytest.raises(ValueError, match="`step` must be from 0 to"):
+            run.profile(step)
+
+
+def test_the_film_of_a_run(ramps, tmp_path):
+    """As many pictures as frames and jumps ask for; a wrong ending is refused."""
+    run = next(r for i, r in ramps if i["scene"] == {"material": "M1", "pressure": 1.82, "rate": 0.01})
+    path = dj.plot.animate_run(run, tmp_path / "run.gif", frames=3, seconds=1.0, time_unit="s")
+    with Image.open(path) as film:
+        assert 3 <= film.n_frames <= 3 + 2 * sum(e.kind == "landing" for e in run.events)
+    with pytest.raises(ValueError, match=r"`path` must end in \.gif or \.mp4"):
+        dj.plot.animate_run(run, tmp_path / "run.png")
 
 
 def test_energy_is_balanced(ramps):
