@@ -97,6 +97,12 @@ def test_spectra_are_measured_and_right(tmp_path):
     assert record["records"][1]["error"] < 1e-8, said
 
 
+def test_ramps_in_time_are_measured_and_right(tmp_path):
+    record, said = quick("speed.rates", tmp_path)
+    assert [r["count"] for r in record["records"]] == [1, 4, 1], said
+    assert all(r["error"] < 1e-6 for r in record["records"]), said
+
+
 def test_the_first_diagram_is_measured_and_right(tmp_path):
     record, said = quick("speed.first_diagram", tmp_path)
     names = [r["name"] for r in record["records"]]

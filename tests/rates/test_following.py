@@ -305,3 +305,12 @@ def test_parameters_of_a_viscoelastic_scene():
     assert said["branches"] == [
         {"material": "gent", "stretch_limit": 120.0, "modulus_ratio": 0.5, "relaxation_time": 1.0}
     ]
+
+
+@pytest.mark.parametrize("item", items("limits"), ids=lambda item: item["scene"]["material"])
+def test_constants_of_slow_passage(item):
+    known = item["result"]["equilibrium_fold"]
+    law = rates.slow_passage(scene_of(item["scene"]))
+    check(law.voltage, known["phi"])
+    check(law.ramp_constant, known["k_ramp"])
+    check(law.delay_constant, known["k_delay"])
