@@ -26,7 +26,7 @@ from ..numerics import Code, SceneError, check_between, shown
 from .balance import Grid, Shape
 from .passages import Asking, Now, Passed, Setting, passed
 from .programs import Seen
-from .protocols import Leg, Linear, legs_of
+from .protocols import Linear, Phase, legs_of, phases_of
 from .requests import Request, serve
 from .resolution import LANDING_TOLERANCE, LEAP_SCALE, LOAD_SCALE, MESHES, MOST_JUMPS, TOLERANCE_SHARE, VOLUME_SCALE
 from .runs import Run, at_rest, at_start, dataset_of, event_of, slopes_of
@@ -100,40 +100,7 @@ def _condition(scene: Scene | Membrane, pressure: float, volume: float) -> Loadi
     return jax.tree.map(float, loading.condition(*((pressure, volume) if isinstance(loading, Chamber) else ())))
 
 
-class _Phase(typing.NamedTuple):
-    """A part of a run with smooth courses of what is prescribed, from m = `begin` to `end`; in a "leap" m is no time.
-
-    `falls` says whether what drives the run is held after it has leapt down.
-    """
-
-    kind: str
-    courses: dict
-    begin: float
-    end: float
-    falls: bool = False
-
-
-def _phases(legs: dict[str, list[Leg]], driven: str) -> list[_Phase]:
-    """The legs in which every quantity has one course, and before each the leap to its first values."""
-    last = min(own[-1].end for own in legs.values())
-    ends = sorted({leg.end for own in legs.values() for leg in own if leg.end <= last})
-    found: list[_Phase] = []
-    values, begin = {n: 0.0 if n == "voltage" else own[0].at(0.0) for n, own in legs.items()}, 0.0
-    for end in ends:
-        courses = {n: next(leg.course for leg in own if leg.end >= end) for n, own in legs.items()}
-        target = {n: float(c(begin)) for n, c in courses.items()}
-        if any(not math.isclose(target[n], values[n], rel_tol=1e-12, abs_tol=1e-300) for n in target):
-            leaps = {n: Linear(values[n], target[n] - values[n], 0.0) for n in target}
-            found.append(_Phase("leap", leaps, 0.0, 1.0))
-        still = all(isinstance(c, Linear) and not c.rate for c in courses.values())
-        falls = abs(target[driven]) < abs(values[driven])
-        found.append(_Phase("hold" if still else "flow", courses, begin, end, falls))
-        values = {n: float(c(end)) for n, c in courses.items()} if math.isfinite(end) else target
-        begin = end
-    return found
-
-
-def _scale(setting: Setting, phase: _Phase, moment: float) -> tuple[float, float]:
+def _scale(setting: Setting, phase: Phase, moment: float) -> tuple[float, float]:
     """κ of a phase, and its unit of σ: the time in which something changes, by the way in which the volume goes."""
     name = setting.driven
     course = phase.courses[name]
@@ -149,7 +116,7 @@ def _scale(setting: Setting, phase: _Phase, moment: float) -> tuple[float, float
     return math.copysign(unit, rate * (value or rate) if name == "voltage" else rate), unit
 
 
-def _jumped(setting: Setting, now: Now, phase: _Phase, moment: float) -> Asking[Passed]:
+def _jumped(setting: Setting, now: Now, phase: Phase, moment: float) -> Asking[Passed]:
     """From an instantaneous fold to the state at the same voltage (or pressure) and dashpots on which the jump lands.
 
     At the fold κ dV/dσ = 1: the volume goes the way that the sign of κ says. There q(V) turns back to its value from below if it
@@ -164,7 +131,7 @@ def _jumped(setting: Setting, now: Now, phase: _Phase, moment: float) -> Asking[
 
 
 def _snapped(
-    setting: Setting, now: Now, phase: _Phase, at: tuple[float, float], seen: Seen, jumps: int
+    setting: Setting, now: Now, phase: Phase, at: tuple[float, float], seen: Seen, jumps: int
 ) -> Asking[tuple[str, Seen]]:
     """Notes an instantaneous fold at (m, time) and jumps from it.
 
@@ -194,7 +161,7 @@ def _followed(setting: Setting, legs: dict, start: str) -> Asking[Run]:
     """A run, as a generator of requests."""
     setting, now = yield from _begun(setting, start, {n: own[0].at(0.0) for n, own in legs.items()})
     time, jumps, seen, reason = 0.0, 0, None, ""
-    for phase in _phases(legs, setting.driven):
+    for phase in phases_of(legs, setting.driven):
         moment = phase.begin
         while True:
             kappa, unit = _scale(setting, phase, moment)

@@ -30,3 +30,7 @@ MOST_SECTIONS = 38
 TOLERANCE_SHARE = 0.2
 # k of the coordinate along the radius, which crowds points at the apex: by the folds and landings of tests/data/rates.json
 CROWDING = 1.5
+# points of a leg at which a homogeneous film is looked at
+FILM_POINTS = 65
+# numbers of times for which programs of films are compiled
+GRID_SIZES = 16, 65, 128, 256, 512, 1024
