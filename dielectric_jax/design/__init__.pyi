@@ -1,6 +1,7 @@
 from .area_strain import Design, maximise_area_strain
 from .calibration import Calibration, calibrate
 from .designs import Designs, classify_designs, surface_for
+from .film_calibration import FilmCalibration, calibrate_film
 from .measurements import Measurement, read_measurement
 from .objectives import Optimum, maximise
 from .regime_maps import Boundary, RegimeEdge, RegimeMap, regime_edges, regime_map
@@ -10,11 +11,13 @@ __all__ = [
     "Calibration",
     "Design",
     "Designs",
+    "FilmCalibration",
     "Measurement",
     "Optimum",
     "RegimeEdge",
     "RegimeMap",
     "calibrate",
+    "calibrate_film",
     "classify_designs",
     "maximise",
     "maximise_area_strain",

@@ -179,7 +179,7 @@ def _with_slopes(energy, logs):
     return slope, hessian
 
 
-def _solve(field, y0, span, *, tolerance, saveat, step_ts=None, event=None, adjoint=None, solver=None):
+def _solve(field, y0, span, *, tolerance, step_ts=None, event=None, adjoint=None, solver=None):
     """An adaptive solution, by Kvaerno's L-stable method of order 5 unless another solver is given."""
     begin, end = span
     control: diffrax.AbstractStepSizeController = diffrax.PIDController(rtol=tolerance, atol=tolerance)
@@ -193,7 +193,7 @@ def _solve(field, y0, span, *, tolerance, saveat, step_ts=None, event=None, adjo
         1e-3 if step_ts is None else step_ts[1] - step_ts[0],
         y0,
         stepsize_controller=control,
-        saveat=saveat,
+        saveat=diffrax.SaveAt(t1=True) if step_ts is None else diffrax.SaveAt(ts=step_ts),
         event=event,
         max_steps=MOST_FILM_STEPS,
         throw=False,
@@ -208,7 +208,7 @@ def film_states(film: Film, begin: FilmState, times, tolerance, adjoint=None) ->
     """
     span = times[0], times[-1]
     solver = diffrax.Kvaerno5() if film.flows else diffrax.Tsit5()
-    options = {"tolerance": tolerance, "saveat": diffrax.SaveAt(ts=times), "step_ts": times}
+    options = {"tolerance": tolerance, "step_ts": times}
     options |= {"adjoint": adjoint, "solver": solver}
     count = len(film.branches)
     if film.explicit:
@@ -260,7 +260,7 @@ def pass_film(film: Film, begin: FilmState, stop, kappa, tolerance, adjoint=None
         return (kappa * y[0] >= stop) | (film.stiffness(*split(y)) <= 0)
 
     y0 = jnp.concatenate([jnp.stack([begin.time / kappa]), begin.logs, jnp.ravel(begin.x)])
-    options = {"tolerance": tolerance, "saveat": diffrax.SaveAt(t1=True), "adjoint": adjoint}
+    options = {"tolerance": tolerance, "adjoint": adjoint}
     event = diffrax.Event(happened)
     found = _solve(field, y0, (0.0, 1e9), event=event, solver=solver, **options)
     beyond = typing.cast(jax.Array, found.ys)[-1]
