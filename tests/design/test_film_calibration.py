@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import dielectric_jax as dj
-from dielectric_jax.design import calibrate_film, film_calibration
+from dielectric_jax.apps.cli import main
+from dielectric_jax.design import calibrate_film, film_calibration, read_film_measurement
 from dielectric_jax.model import Maxwell, NeoHookean, Viscoelastic
 
 MODE = "uniaxial"
@@ -177,3 +178,66 @@ def test_bad_input():
     ):
         with pytest.raises(ValueError, match=words):
             call()
+
+
+@pytest.mark.parametrize(
+    ("head", "size", "in_si"),
+    [
+        ("time [s],stretch,stress [kPa]", (1.0, 1.0, 1e3), True),
+        ("Time (min),λ [-],Nominal stress / MPa", (60.0, 1.0, 1e6), True),
+        ("t,λ,s", (1.0, 1.0, 1.0), False),
+        ("# temperature,Zeit [h],Stretch,Spannung [N/mm²]", (3600.0, 1.0, 1e6), True),
+    ],
+)
+def test_files(tmp_path, head, size, in_si):
+    """Headings and units of tests in time; other columns and incomplete lines are left out."""
+    rows = ["0,1,0", "1,1.5,0.5", "2,1.5,", "3,1.5,0.4"]
+    if "temperature" in head:
+        rows = [f"20,{row}" for row in rows]
+    path = tmp_path / "test.csv"
+    path.write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
+    found = read_film_measurement(path)
+    assert found.time == pytest.approx(np.array([0.0, 1.0, 3.0]) * size[0])
+    assert found.stretch == pytest.approx([1.0, 1.5, 1.5])
+    assert found.stress == pytest.approx(np.array([0.0, 0.5, 0.4]) * size[2])
+    assert found.in_si == in_si
+    assert found.notices == ("Left out: line 4, without a time or a stretch or a stress.",)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("time,strain,stress\n0,0,0\n1,1,1\n", "`data` must have columns named time, stretch and stress, but line 1"),
+        ("time,stretch,stress\n0,1,0\n0,1,1\n", "`data` must hold rising times, but line 3 of .* has 0"),
+        ("time,stretch,stress\n0,1,0\n1,-1,1\n", "`data` must hold stretches above zero, but line 3 of .* has -1"),
+        ("time [kg],stretch,stress\n0,1,0\n1,1,1\n", "`data` must give the time in a unit such as s, ms, min, h"),
+        ("time,stretch,true stress\n0,1,0\n1,1,1\n", "`data` must have columns named time, stretch and stress"),
+        ("time,stretch,stress\n0,1,0\n", "`data` must hold two samples or more"),
+    ],
+)
+def test_files_that_are_none(tmp_path, text, words):
+    path = tmp_path / "test.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError, match=words):
+        read_film_measurement(path)
+
+
+def test_command_line(tmp_path, capsys):
+    """A file in time is fitted with one branch, or with those asked for; options that would be ignored are refused."""
+    time, stretch = relaxed(2.0, 0.25, 40.0)
+    (stress,) = stresses(rubber((2.0, 5.0)), [(time, stretch)])
+    path = tmp_path / "test.csv"
+    rows = "".join(f"{t:.12g},{s:.12g},{60 * p:.12g}\n" for t, s, p in zip(time, stretch, stress, strict=True))
+    path.write_text(f"time [s],stretch,stress [kPa]\n{rows}", encoding="utf-8")
+    argv = ["calibrate", str(path), "--si", "--material", "neo-hookean"]
+    assert main([*argv, "--relaxation-times", "3", "--json", "-"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    true = {"shear_modulus": 60e3, "modulus_ratio": 2.0, "relaxation_time": 5.0}
+    assert document["parameters"] == pytest.approx(true, rel=1e-6)
+    assert document["scene"]["branches"][0]["relaxation_time"] == document["parameters"]["relaxation_time"]
+    for more, words in (
+        (["--voltage", "100"], "--voltage must be left out for a test of time, stretch and stress"),
+        (["--columns", "1", "2", "--mode", "uniaxial"], "--mode must be left out with --columns"),
+    ):
+        assert main([*argv, *more]) == 2
+        assert words in capsys.readouterr().err
