@@ -25,7 +25,7 @@ from ..model import (
     spring_and_branches,
 )
 from ..numerics import cached_jit, shown
-from .calibration import best_fit, check_intervals, check_options, finite_or_none, intervals_of, misfit_warnings
+from .calibration import Fit, best_fit, check_intervals, check_options, finite_or_none, intervals_of, misfit_warnings
 from .free_parameters import AbstractModel
 from .material_constants import as_arrays, sought_constants, value_of, with_constants
 from .resolution import FARTHEST_START, FILM_TOLERANCE, MODEL_SIZES, MODULI, MOST_SAMPLES
@@ -297,37 +297,42 @@ def calibrate_film(
     shear = 1.0 if units is None else float(units.shear_modulus)
     model = FilmModel(material, names, [(t, s) for t, s, _ in tests], shear, (mode, start))
     fit = best_fit(model, measured / of_stress, loss, None if noise is None else noise / of_stress)
-    values = model.values_of(fit.free)
-    intervals, correlation = intervals_of(model, fit, level)
+    found = _result(model, fit, level, tests, of_stress, units)
     advice = "measure for several relaxation times, and at rates that differ"
-    warnings = check_intervals(intervals, values, level, advice)
-    warnings += _doubtful(values, tests)
+    warnings = check_intervals(found.intervals, found.parameters, level, advice) + _doubtful(found.parameters, tests)
     warnings += misfit_warnings(
         np.arange(len(measured)),
         measured,
-        fit.pressure * of_stress,
+        np.concatenate(found.fit),
         robust=loss != "linear",
         noise=noise,
         unit="" if units is None else " Pa",
         advice="use more branches or other springs, or check the units, the cross-section and the start.",
         measured="stress",
     )
-    if units is not None and "shear_modulus" in names:
+    return dataclasses.replace(found, warnings=tuple(warnings))
+
+
+def _result(model: FilmModel, fit: Fit, level: float, tests: list[tuple], of_stress: float, units) -> FilmCalibration:
+    """The constants with their intervals, and the material and units with these constants."""
+    values = model.values_of(fit.free)
+    intervals, correlation = intervals_of(model, fit, level)
+    if units is not None and "shear_modulus" in values:
         units = eqx.tree_at(lambda u: u.shear_modulus, units, np.asarray(values["shear_modulus"]))
     ends = np.cumsum([len(t) for t, *_ in tests])[:-1]
+    time, stretch, stress = zip(*tests, strict=True)
     return FilmCalibration(
         parameters=values,
         intervals=intervals,
         level=level,
         correlation=correlation,
         noise=fit.noise * of_stress,
-        time=tuple(t for t, _, _ in tests),
-        stretch=tuple(s for _, s, _ in tests),
-        stress=tuple(s for _, _, s in tests),
+        time=time,
+        stretch=stretch,
+        stress=stress,
         fit=tuple(np.split(fit.pressure * of_stress, ends)),
         material=model.material_of(values),
         units=units,
-        warnings=tuple(warnings),
     )
 
 

@@ -441,7 +441,7 @@ def film_stress(
         stretch: λ1 at these times.
         mode: "equal_biaxial", "uniaxial" or "pure_shear".
         start: "fresh" or "relaxed" at the first sample.
-        tolerance: of the integration, relative. Derivatives have about the square root of one more digit less: choose a smaller one.
+        tolerance: of the integration, relative. Derivatives have one or two digits less than values: choose a smaller one for them.
         adjoint: how derivatives are taken, by an adjoint of diffrax: by default backwards, for jax.grad; diffrax.ForwardMode() for
             jax.jvp and jax.jacfwd.
 
