@@ -257,9 +257,25 @@ def _add_sweep(commands) -> None:
 
 def _add_calibrate(commands, common: Parser) -> None:
     fit = commands.add_parser(
-        "calibrate", parents=[common], help="constants of a measured pressure–volume curve", description=_DESCRIPTION
+        "calibrate",
+        parents=[common],
+        help="constants of a measured pressure–volume curve, or of a test in time",
+        description=_DESCRIPTION,
     )
-    fit.add_argument("data", metavar="DATA.csv", help="columns volume and pressure; --si if the first line has units")
+    columns = "columns volume and pressure, or time, stretch and stress of a viscoelastic film; --si if the first line has units"
+    fit.add_argument("data", metavar="DATA.csv", help=columns)
+    fit.add_argument(
+        "--relaxation-times",
+        nargs="+",
+        type=_positive,
+        metavar="T",
+        help="of a test in time: one neo-Hookean branch for each, starting there (a twentieth of the test)",
+    )
+    fit.add_argument(
+        "--mode",
+        choices=["uniaxial", "equal_biaxial", "pure_shear"],
+        help="of a test in time: how the film is stretched (uniaxial)",
+    )
     fit.add_argument("--columns", nargs=2, metavar=("V", "P"), help="the two columns, by heading or position (by name)")
     fit.add_argument("--column-units", nargs=2, metavar=("V", "P"), help="their units, such as ml kPa (from headings)")
     fit.add_argument(

@@ -14,6 +14,7 @@ from scipy.stats import t as student
 from ..model import ConstantBreakdown, Membrane, Units, VHBBreakdown, Viscoelastic
 from ..numerics import check_positive
 from .curve_model import CurveModel
+from .free_parameters import AbstractModel
 from .material_constants import sought_constants
 from .measurements import runs_of
 from .resolution import (
@@ -36,12 +37,18 @@ from .resolution import (
 
 __all__ = [
     "Calibration",
+    "Fit",
+    "best_fit",
     "calibrate",
     "check_determined",
     "check_intervals",
     "check_optimal",
+    "check_options",
+    "finite_or_none",
+    "intervals_of",
     "looks_absolute",
     "misfit_warnings",
+    "plural",
 ]
 
 
@@ -107,7 +114,7 @@ class Calibration:
 
     def to_json(self) -> dict:
         """Everything but the membrane as a JSON document, with null for numbers that are not finite."""
-        return _finite_or_none(self._document())
+        return finite_or_none(self._document())
 
     def _document(self) -> dict:
         return {
@@ -125,16 +132,16 @@ class Calibration:
         }
 
 
-def _finite_or_none(value: typing.Any) -> typing.Any:
+def finite_or_none(value: typing.Any) -> typing.Any:
     """The document without infinities and NaN, which do not exist in JSON."""
     if isinstance(value, dict):
-        return {name: _finite_or_none(v) for name, v in value.items()}
+        return {name: finite_or_none(v) for name, v in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_finite_or_none(v) for v in value]
+        return [finite_or_none(v) for v in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _minimum(curve: CurveModel, free: np.ndarray, pressure: np.ndarray, loss: str, scale: float) -> np.ndarray:
+def _minimum(curve: AbstractModel, free: np.ndarray, pressure: np.ndarray, loss: str, scale: float) -> np.ndarray:
     """The free parameters of least loss, with residuals in units of `scale`, by SciPy's trust-region method."""
     known: dict = {}
     far = 1e3 * float(np.abs(pressure).max())
@@ -216,7 +223,7 @@ def calibrate(
             f"{type(membrane.material.equilibrium).__name__} alone."
         )
     names = sought_constants(membrane.material, over, units is not None)
-    _check_options(loss, level, voltage, noise)
+    check_options(loss, level, voltage, noise)
     volume, pressure, warnings = _usable(volume, pressure, units)
     if len(volume) <= len(names):
         raise ValueError(
@@ -227,7 +234,7 @@ def calibrate(
     shear = 1.0 if units is None else float(units.shear_modulus)
     curve = CurveModel(membrane, names, volume / of_volume, q_scale, shear)
     try:
-        fit = _fit(curve, pressure / of_pressure, loss, None if noise is None else noise / of_pressure)
+        fit = best_fit(curve, pressure / of_pressure, loss, None if noise is None else noise / of_pressure)
         found = _result(curve, fit, level, volume, pressure, of_pressure, units)
         warnings += check_intervals(found.intervals, found.parameters, level)
         seek = "" if "prestretch" in names else "fit more constants, such as the prestretch, "
@@ -254,7 +261,7 @@ _ABSOLUTE = (
 
 
 @dataclasses.dataclass(frozen=True)
-class _Fit:
+class Fit:
     """The best free parameters (m,), the model's pressures there (n,), their Jacobian (n, m), and their noise.
 
     `spread` is the factor by which (JᵀJ)^-½ is scaled to give the errors of the estimates.
@@ -267,7 +274,7 @@ class _Fit:
     spread: float
 
 
-def _fit(curve: CurveModel, pressure: np.ndarray, loss: str, noise: float | None) -> _Fit:
+def best_fit(curve: AbstractModel, pressure: np.ndarray, loss: str, noise: float | None) -> Fit:
     """The best fit, checked to be a minimum whose constants the curve determines."""
     start = curve.reachable_start()
     free = np.maximum(curve.free_of(curve.scaled(start, pressure)), curve.lowest)
@@ -287,27 +294,22 @@ def _fit(curve: CurveModel, pressure: np.ndarray, loss: str, noise: float | None
     values, residual = curve.values_of(free), pressure - fit
     if not np.isfinite(fit).all():
         raise ValueError(
-            f"`pressure` must be a curve that the material can follow, but no fit of {', '.join(curve.names)} was found from "
+            f"`{curve.measured}` must be a curve that the material can follow, but no fit of {', '.join(curve.names)} was found from "
             f"{ {n: float(s) for n, s in curve.start.items()} }; choose other starting values, or fit fewer constants."
         )
-    check_determined(curve.start, values, jacobian, pressure)
+    check_determined(curve.start, values, jacobian, pressure, curve.measured)
     pull = residual if loss == "linear" else scale * _psi(residual / scale, loss)[0]
-    check_optimal(curve.start, values, jacobian, pull, pressure, free - curve.lowest < 1e-3)
+    check_optimal(curve.start, values, jacobian, pull, pressure, free - curve.lowest < 1e-3, curve.measured)
     freedom = len(pressure) - len(free)
     spread = _spread(residual, freedom, loss, scale, noise is not None)
     own = float(np.sqrt(residual @ residual / freedom)) if loss == "linear" else scale
-    return _Fit(free, fit, jacobian, own, spread)
+    return Fit(free, fit, jacobian, own, spread)
 
 
-def _result(curve: CurveModel, fit: _Fit, level, volume, pressure, of_pressure: float, units) -> Calibration:
+def _result(curve: CurveModel, fit: Fit, level, volume, pressure, of_pressure: float, units) -> Calibration:
     """The constants with their intervals, and the membrane and units with these constants."""
     names, values = curve.names, curve.values_of(fit.free)
-    # by QR decomposition: JᵀJ would square the condition number of the Jacobian
-    inverse = np.linalg.inv(np.linalg.qr(fit.jacobian, mode="r"))
-    covariance = inverse @ inverse.T * fit.spread**2
-    error = np.sqrt(np.diag(covariance))
-    reach = student.ppf((1 + level) / 2, len(volume) - len(names)) * error
-    low, high = (curve.values_of(np.maximum(fit.free + s * reach, curve.lowest)) for s in (-1, 1))
+    intervals, correlation = intervals_of(curve, fit, level)
     membrane = curve.membrane_of(values)
     if units is not None and "shear_modulus" in names:
         before = units
@@ -315,9 +317,9 @@ def _result(curve: CurveModel, fit: _Fit, level, volume, pressure, of_pressure: 
         membrane = Membrane(membrane.material, membrane.prestretch, _law_in(membrane.breakdown, before, units))
     return Calibration(
         parameters=values,
-        intervals={n: (low[n], high[n]) for n in names},
+        intervals=intervals,
         level=level,
-        correlation=covariance / np.outer(error, error),
+        correlation=correlation,
         noise=fit.noise * of_pressure,
         volume=volume,
         pressure=pressure,
@@ -325,6 +327,17 @@ def _result(curve: CurveModel, fit: _Fit, level, volume, pressure, of_pressure: 
         membrane=membrane,
         units=units,
     )
+
+
+def intervals_of(curve: AbstractModel, fit: Fit, level: float) -> tuple[dict[str, tuple[float, float]], np.ndarray]:
+    """The confidence intervals of the constants by name, and the correlation (m, m) of the estimates."""
+    # by QR decomposition: JᵀJ would square the condition number of the Jacobian
+    inverse = np.linalg.inv(np.linalg.qr(fit.jacobian, mode="r"))
+    covariance = inverse @ inverse.T * fit.spread**2
+    error = np.sqrt(np.diag(covariance))
+    reach = student.ppf((1 + level) / 2, len(fit.pressure) - len(fit.free)) * error
+    low, high = (curve.values_of(np.maximum(fit.free + s * reach, curve.lowest)) for s in (-1, 1))
+    return {n: (low[n], high[n]) for n in curve.names}, covariance / np.outer(error, error)
 
 
 def _psi(x, loss: str):
@@ -377,7 +390,8 @@ def _doubtful(found: Calibration) -> list[str]:
     return said
 
 
-def _check_options(loss: str, level: float, voltage: float, noise: float | None) -> None:
+def check_options(loss: str, level: float, voltage: float, noise: float | None) -> None:
+    """Refuses an unknown loss, and a level, voltage or noise that is none."""
     if loss not in _LOSSES:
         raise ValueError(f"`loss` must be one of {', '.join(_LOSSES)}, but is {loss!r}.")
     if not 0 < level < 1:
@@ -426,7 +440,14 @@ def _and(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
-def check_determined(start: Mapping[str, float], values: Mapping[str, float], jacobian, pressure) -> None:
+def plural(measured: str) -> str:
+    """Pressures, stresses."""
+    return measured + ("es" if measured.endswith("s") else "s")
+
+
+def check_determined(
+    start: Mapping[str, float], values: Mapping[str, float], jacobian, pressure, measured: str = "pressure"
+) -> None:
     """Refuses constants that the curve does not depend on, or that can change together without changing it.
 
     `jacobian` (n, m) is that of the free parameters; `start` and `values` are the constants before and after the fit.
@@ -436,7 +457,7 @@ def check_determined(start: Mapping[str, float], values: Mapping[str, float], ja
     for name, good in zip(names, felt, strict=True):
         if not good:
             raise ValueError(
-                f"`over` must name constants that the curve depends on, but a change of {name} does not change the pressures "
+                f"`over` must name constants that the curve depends on, but a change of {name} does not change the {plural(measured)} "
                 f"(it started at {start[name]:.4g} and ended at {values[name]:.4g}); leave it out of `over`."
             )
     _, sizes, rows = np.linalg.svd(jacobian / length, full_matrices=False)
@@ -444,11 +465,19 @@ def check_determined(start: Mapping[str, float], values: Mapping[str, float], ja
         joined = [n for n, share in zip(names, np.abs(rows[-1]), strict=True) if share > 0.05]
         raise ValueError(
             f"`over` must name constants that the curve can separate, but {_and(joined)} can change together without changing "
-            "the pressures; leave one of them out of `over`."
+            f"the {plural(measured)}; leave one of them out of `over`."
         )
 
 
-def check_optimal(start: Mapping[str, float], values: Mapping[str, float], jacobian, pull, pressure, at_limit) -> None:
+def check_optimal(
+    start: Mapping[str, float],
+    values: Mapping[str, float],
+    jacobian,
+    pull,
+    pressure,
+    at_limit,
+    measured: str = "pressure",
+) -> None:
     """Refuses constants at which the loss could still be lowered: the search has stopped before a minimum.
 
     `pull` (n,) are the derivatives of the loss by the residuals; `at_limit` (m,) says which parameters are at their lower limit.
@@ -462,23 +491,26 @@ def check_optimal(start: Mapping[str, float], values: Mapping[str, float], jacob
         return
     moved = ", ".join(f"{n} {values[n]:.4g} (from {start[n]:.4g})" for n in values)
     raise ValueError(
-        f"`pressure` must be a curve that the material can follow, but no best fit was found: the search stopped at {moved}; "
+        f"`{measured}` must be a curve that the material can follow, but no best fit was found: the search stopped at {moved}; "
         "choose other starting values, fit fewer constants, or check the units, the thickness and the radius."
     )
 
 
 def check_intervals(
-    intervals: Mapping[str, tuple[float, float]], values: Mapping[str, float], level: float
+    intervals: Mapping[str, tuple[float, float]],
+    values: Mapping[str, float],
+    level: float,
+    advice: str = "measure larger volumes, where the film stiffens",
 ) -> list[str]:
-    """Refuses unbounded intervals, and returns warnings about wide ones."""
+    """Refuses unbounded intervals, saying what to measure, and returns warnings about wide ones."""
     said = []
     for name, (low, high) in intervals.items():
         stated = f"the {100 * level:g} % interval of {name}, {values[name]:.4g}, is {low:.3g} to {high:.3g}"
         endless = not (np.isfinite(low) and np.isfinite(high)) or (low > 0 and high > ENDLESS * low)
         if endless or (low == 0 and values[name] > 0 and name != "prestretch" and high > ENDLESS * values[name]):
             raise ValueError(
-                f"`over` must name constants that the curve determines, but {stated}; leave it out of `over`, or measure "
-                "larger volumes, where the film stiffens."
+                f"`over` must name constants that the curve determines, but {stated}; leave it out of `over`, or "
+                f"{advice}."
             )
         if low > 0 and high > WIDE * low:
             said.append(f"The curve hardly determines {name}: {stated}.")
@@ -491,7 +523,9 @@ def looks_absolute(volume, pressure) -> bool:
     return bool(70e3 < pressure.min() < 115e3 and small.min() < 115e3 and pressure.max() < 3 * pressure.min())
 
 
-def misfit_warnings(volume, pressure, fit, *, robust: bool, noise: float | None, unit: str, advice: str) -> list[str]:
+def misfit_warnings(
+    volume, pressure, fit, *, robust: bool, noise: float | None, unit: str, advice: str, measured: str = "pressure"
+) -> list[str]:
     """Warnings about a misfit that is not noise; refuses a fit that leaves more than half of the variance of the pressures.
 
     The noise is estimated from differences between residuals at neighbouring volumes, which a systematic misfit hardly
@@ -508,12 +542,12 @@ def misfit_warnings(volume, pressure, fit, *, robust: bool, noise: float | None,
     allowed = 1 / np.sqrt(max(1 - 3 / np.sqrt(len(residual)), 0.05))
     if not (misfit > allowed * expected and misfit > VISIBLE_MISFIT * np.ptp(pressure)):
         return []
-    said = f"the misfit, {misfit:.3g}{unit}, is {misfit / expected:.3g} times the noise of the pressures, {expected:.3g}{unit}"
+    said = f"the misfit, {misfit:.3g}{unit}, is {misfit / expected:.3g} times the noise of the {plural(measured)}, {expected:.3g}{unit}"
     offset = _offset(pressure, fit, misfit)
     if offset:
-        advice = f"an offset of the pressures of {offset:.4g}{unit} would explain it: is the gauge zeroed?"
+        advice = f"an offset of the {plural(measured)} of {offset:.4g}{unit} would explain it: is the gauge zeroed?"
     if misfit > np.sqrt(0.5) * np.std(pressure):
-        raise ValueError(f"`pressure` must be a curve that the material can follow, but {said}; {advice}")
+        raise ValueError(f"`{measured}` must be a curve that the material can follow, but {said}; {advice}")
     return [f"T{said[1:]}: the material does not follow the curve, and the intervals are too narrow; {advice}"]
 
 

@@ -15,13 +15,37 @@ _NAMES = {
         *("pressure", "press", "pres", "druck", "überdruck", "ueberdruck", "pression", "presión", "presion"),
         *("pressione", "pressão", "pressao", "tryck", "压力", "压强", "气压", "壓力", "圧力"),
     ),
+    "time": ("time", "zeit", "temps", "tiempo", "tempo", "tid", "时间", "時間"),
+    "stretch": ("stretch", "stretch ratio", "lambda", "streckung", "étirement", "拉伸比"),
+    "stress": ("stress", "spannung", "contrainte", "tensión", "sforzo", "应力", "応力"),
 }
-_SHORT = {"volume": "v", "pressure": "p"}
+_SHORT = {"volume": "v", "pressure": "p", "time": "t", "stretch": "λ", "stress": "s"}
 # a column with one of these words is another quantity, although its heading names a volume or a pressure
-_OTHER = re.compile(
-    r"(?<![a-z])(rate|flow|std|sd|stdev|error|err|uncertainty|chamber|reservoir|tank|setpoint|target|atmospheric|ambient"
-    r"|barometric|supply|source|initial|temperature|voltage|time)(?![a-z])"
+_OTHER_WORDS = (
+    *(
+        "rate",
+        "flow",
+        "std",
+        "sd",
+        "stdev",
+        "error",
+        "err",
+        "uncertainty",
+        "chamber",
+        "reservoir",
+        "tank",
+        "setpoint",
+        "target",
+    ),
+    *("atmospheric", "ambient", "barometric", "supply", "source", "initial", "temperature", "voltage", "time"),
 )
+# the stress on the deformed cross-section is another than the nominal one
+_OTHER = {
+    quantity: re.compile(
+        rf"(?<![a-z])({'|'.join(w for w in (*_OTHER_WORDS, 'true', 'cauchy') if w != quantity)})(?![a-z])"
+    )
+    for quantity in _NAMES
+}
 _ABSOLUTE = re.compile(r"(?<![a-z])(abs|absolute)(?![a-z])")
 
 _PREFIXES = {
@@ -72,14 +96,32 @@ _UNITS = {
 }
 for _quantity, _words in _in_words().items():
     _UNITS[_quantity] |= _words
+_SECONDS = ("sec", "secs", "second", "seconds"), ("minute", "minutes"), ("hr", "hour", "hours")
+_UNITS["time"] = {**_with_prefixes("|m|μ|u", "s"), "min": 60.0, "h": 3600.0}
+for _sizes, _words in zip((1.0, 60.0, 3600.0), _SECONDS, strict=True):
+    _UNITS["time"] |= dict.fromkeys(_words, _sizes)
+_UNITS["stress"] = _UNITS["pressure"]
+_UNITS["stretch"] = {}
 _ENDINGS = ("(g)", "(a)", "g", "a", "gauge", "gage", "absolute", "abs", "rel")
 # for this package's own dimensionless numbers
-_NONE = {"volume": ("-", "1", "a3"), "pressure": ("-", "1", "μh/a", "uh/a")}
+_NONE = {
+    "volume": ("-", "1", "a3"),
+    "pressure": ("-", "1", "μh/a", "uh/a"),
+    "time": ("-", "1", "τ"),
+    "stretch": ("-", "1", "mm/mm", "m/m"),
+    "stress": ("-", "1", "μ"),
+}
 
 
 def names_text(quantity: str) -> str:
     """Examples of units of a quantity, for messages."""
-    return {"volume": "m³, L, ml, µl, cm³, mm³", "pressure": "Pa, hPa, kPa, bar, mbar, psi, mmHg"}[quantity]
+    return {
+        "volume": "m³, L, ml, µl, cm³, mm³",
+        "pressure": "Pa, hPa, kPa, bar, mbar, psi, mmHg",
+        "time": "s, ms, min, h",
+        "stretch": "- or mm/mm (a strain is not a stretch)",
+        "stress": "Pa, kPa, MPa, N/mm², psi",
+    }[quantity]
 
 
 def _plain(text: str) -> str:
@@ -181,7 +223,9 @@ def read_head(text: str) -> list[Head]:
         plain = re.sub(r"[\s_.\-]+", " ", label.lower()).strip()
         words = [w for w in names if re.search(rf"(?<![a-zà-ÿ]){w}(?![a-zà-ÿ])" if w.isascii() else w, plain)]
         short = re.fullmatch(rf"(δ|d|delta )?\s*{_SHORT[quantity]}( ?(gauge|g|rel|abs|inj|injected|mem|film))?", plain)
-        if not (words or (short and (size or (unit is None and not short[1])))) or _OTHER.search(plain):
+        if not (
+            words or (short and (size or (unit is None and not short[1]) or (quantity == "stretch" and size == 0)))
+        ) or _OTHER[quantity].search(plain):
             continue
         if wrong is not None:
             raise wrong

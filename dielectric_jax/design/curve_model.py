@@ -16,6 +16,7 @@ from scipy.interpolate import make_interp_spline
 
 from ..model import Membrane, explicit_map
 from ..numerics import cached_jit
+from .free_parameters import AbstractModel
 from .material_constants import as_arrays, check_membrane, constants_of, value_of, with_constants
 from .resolution import ACCURATE, FARTHEST_START, FLATTEST, MODEL_SIZES, MODEL_STEPS, NODES, ROUNDS
 
@@ -92,20 +93,16 @@ def _model(names: tuple[str, ...], logs: tuple[bool, ...]) -> Callable:
     return cached_jit(pressures_and_slopes)
 
 
-class CurveModel:
+class CurveModel(AbstractModel):
     """The pressures of a membrane at given volumes, as a function of free parameters: its constants or their logarithms.
 
-    A constant that the material refuses when negative is fitted by its logarithm, unless it starts at zero; `lowest` are the
-    lower limits of the free parameters. For more than 256 volumes, the states at 256 nodes are interpolated by quintic
+    For more than 256 volumes, the states at 256 nodes are interpolated by quintic
     splines in log V, whose error is far below that of a gauge.
     """
 
     def __init__(self, membrane: Membrane, names: Sequence[str], volume: np.ndarray, q_scale: float, shear: float):
         self.membrane = Membrane(as_arrays(membrane.material), membrane.prestretch, membrane.breakdown)
-        self.names = tuple(names)
-        self.start = {n: self._start_of(n, shear) for n in names}
-        self.logs = tuple(n == "shear_modulus" or (v > 0 and self._is_positive(n)) for n, v in self.start.items())
-        self.lowest = np.array([self._lowest(n, log) for n, log in zip(names, self.logs, strict=True)])
+        super().__init__(names, {n: self._start_of(n, shear) for n in names}, "pressure")
         self._q_scale, self._largest = q_scale, float(volume.max())
         self._x = np.log(volume)
         size = next((s for s in MODEL_SIZES if len(volume) <= s), None)
@@ -123,20 +120,8 @@ class CurveModel:
             return max(float(self.membrane.prestretch), 1.02)
         return value_of(self.membrane.material, name)
 
-    def _is_positive(self, name: str) -> bool:
-        """Whether the material refuses a negative value of the constant."""
-        return name != "prestretch" and not self._allows({name: -max(abs(self.start[name]), 1e-3)})
-
-    def _lowest(self, name: str, log: bool) -> float:
-        """The lower limit of a free parameter."""
-        if name == "prestretch":
-            return 1.0
-        if log or not self._is_positive(name):
-            return -np.inf
-        self.start[name] = 1e-2  # for a positive constant that starts at zero
-        return 0.0
-
-    def _allows(self, values: dict) -> bool:
+    def allows(self, values: dict) -> bool:
+        """Whether the material and the membrane are allowed to have these constants."""
         material, prestretch = _put(self.membrane, values)
         try:
             numbers = jax.tree.map(np.asarray, (material, prestretch), is_leaf=lambda x: isinstance(x, jax.Array))
@@ -144,16 +129,6 @@ class CurveModel:
         except ValueError:
             return False
         return True
-
-    def free_of(self, values: dict) -> np.ndarray:
-        """The free parameters of constants by name."""
-        return np.array([np.log(values[n]) if log else values[n] for n, log in zip(self.names, self.logs, strict=True)])
-
-    def values_of(self, free) -> dict[str, float]:
-        """The constants of free parameters."""
-        with np.errstate(over="ignore"):
-            pairs = zip(self.names, self.logs, free, strict=True)
-            return {n: float(np.exp(x)) if log else float(x) for n, log, x in pairs}
 
     def membrane_of(self, values: dict) -> Membrane:
         """The membrane with these constants."""
@@ -205,7 +180,7 @@ class CurveModel:
         while factor <= FARTHEST_START:
             for name, log in zip(self.names, self.logs, strict=True):
                 values = self.start | {name: factor * self.start[name]}
-                if log and self._allows({n: v for n, v in values.items() if n != "shear_modulus"}):
+                if log and self.allows({n: v for n, v in values.items() if n != "shear_modulus"}):
                     # margin beyond the largest volume, where the film would be at its limit
                     if self.largest_volume(values) > 1.3 * self._largest:
                         return values
@@ -238,7 +213,7 @@ class CurveModel:
         values = self.values_of(free)
         count = len(self._x)
         lost = np.full(count, np.nan), np.full((count, len(self.names)), np.nan)
-        if not all(np.isfinite(v) for v in values.values()) or not self._allows(values):
+        if not all(np.isfinite(v) for v in values.values()) or not self.allows(values):
             return lost
         args = self.membrane, np.exp(self._nodes), np.asarray(self._q_scale), self._near, np.asarray(self._steps)
         found = _model(self.names, self.logs)(np.asarray(free, float), *args)

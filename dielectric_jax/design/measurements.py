@@ -9,9 +9,9 @@ import numpy as np
 
 from ..numerics import shown
 from .resolution import BELOW_ZERO, NOISE_OF_VOLUME, SHORTEST_RUN, TURN
-from .text_tables import NUMBER, QUANTITIES, Line, Table, bare, full, split, table_of
+from .text_tables import FILM_QUANTITIES, NUMBER, Line, Table, bare, full, split, table_of
 
-__all__ = ["BRANCHES", "Measurement", "read_measurement", "runs_of"]
+__all__ = ["BRANCHES", "FilmMeasurement", "Measurement", "read_film_measurement", "read_measurement", "runs_of"]
 
 BRANCHES = ("loading", "unloading", "all")
 
@@ -69,7 +69,7 @@ def read_measurement(
             raise ValueError(f"`{name}` must be two, of volume and of pressure, but are {shown(list(given))}.")
     lines, table, notices = table_of(path, columns, column_units)
     cells = _cells(path, lines[table.first :], table)
-    values, where, left = _numbers(path, cells)
+    values, where, left = _numbers(path, cells, table.quantities)
     notices += left
     volume, pressure = values * np.array([h.size or 1.0 for h in table.heads])[:, None]
     in_si = bool(table.heads[0].size)
@@ -85,11 +85,63 @@ def read_measurement(
     return Measurement(volume[keep], pressure[keep], in_si, where[keep], tuple(notices + said))
 
 
+@dataclasses.dataclass(frozen=True)
+class FilmMeasurement:
+    """Times, stretches and nominal stresses (n,) of a film's test, in the order of the lines, and notices about what was left out.
+
+    Times are in seconds where the file names their unit; stresses are in Pa, `in_si`, where it names theirs. `lines` (n,) are the
+    samples' lines in the file.
+    """
+
+    time: np.ndarray
+    stretch: np.ndarray
+    stress: np.ndarray
+    in_si: bool
+    lines: np.ndarray
+    notices: tuple[str, ...]
+
+
+def read_film_measurement(
+    file: str | pathlib.Path,
+    *,
+    columns: Sequence[str | int] | None = None,
+    column_units: Sequence[str] | None = None,
+) -> FilmMeasurement:
+    """Times, stretches and nominal stresses of a text file: `time [s],stretch,stress [kPa]`, or without units.
+
+    What is accepted is what `read_measurement` accepts.
+
+    Args:
+        file: path of the file.
+        columns: the columns of time, stretch and stress, by their full headings or their positions (1 is the first).
+        column_units: their units, such as ("s", "-", "kPa"), if the file does not name them.
+
+    Raises:
+        ValueError: for a file without such columns, with an entry that is not a number, or with times that do not rise, with its
+            line.
+    """
+    path = pathlib.Path(file)
+    for name, given in (("columns", columns), ("column_units", column_units)):
+        if given is not None and len(given) != 3:
+            raise ValueError(f"`{name}` must be three, of time, stretch and stress, but are {shown(list(given))}.")
+    lines, table, notices = table_of(path, columns, column_units, FILM_QUANTITIES)
+    values, where, left = _numbers(path, _cells(path, lines[table.first :], table), table.quantities)
+    if values.shape[1] < 2:
+        raise ValueError(f"`data` must hold two samples or more, but {path} holds {values.shape[1]}.")
+    time, stretch, stress = values * np.array([h.size or 1.0 for h in table.heads])[:, None]
+    for wrong, said in ((np.diff(time, prepend=-np.inf) <= 0, "rising times"), (stretch <= 0, "stretches above zero")):
+        if wrong.any():
+            k = int(np.argmax(wrong))
+            value = (time if said == "rising times" else stretch)[k]
+            raise ValueError(f"`data` must hold {said}, but line {where[k]} of {path} has {float(value):.6g}.")
+    return FilmMeasurement(time, stretch, stress, bool(table.heads[2].size), where, tuple(notices + left))
+
+
 # ---- numbers
 
 
-def _cells(path, lines: list[Line], table: Table) -> tuple[list[tuple[str, str]], list[int]]:
-    """The two cells of every row, without blanks, and the numbers of their lines."""
+def _cells(path, lines: list[Line], table: Table) -> tuple[list[tuple[str, ...]], list[int]]:
+    """The cells of every row that are sought, without blanks, and the numbers of their lines."""
     cells, where = [], []
     for line in lines:
         if line.remark:
@@ -101,7 +153,7 @@ def _cells(path, lines: list[Line], table: Table) -> tuple[list[tuple[str, str]]
                 f"{table.width} headings, as if a comma in a number were also the separator."
             )
         row += [""] * (max(table.places) + 1 - len(row))
-        cells.append((bare(row[table.places[0]]), bare(row[table.places[1]])))
+        cells.append(tuple(bare(row[place]) for place in table.places))
         where.append(line.number)
     return cells, where
 
@@ -154,8 +206,8 @@ def _value(cell: str, sign: str) -> float | None:
     return float(f"{whole.replace(other, '')}.{rest or '0'}e{found[2] or '0'}")
 
 
-def _numbers(path, rows) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Numbers (2, n), their lines, and notices about the lines left out."""
+def _numbers(path, rows, quantities: Sequence[str]) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Numbers (a row for each quantity, n), their lines, and notices about the lines left out."""
     cells, where = rows
     sign = _decimal_sign(path, cells, where)
     values, kept, empty = [], [], []
@@ -164,15 +216,16 @@ def _numbers(path, rows) -> tuple[np.ndarray, np.ndarray, list[str]]:
             empty += [] if all(c == "" for c in pair) else [number]
             continue
         found = [_value(c, sign) for c in pair]
-        for quantity, cell, value in zip(QUANTITIES, pair, found, strict=True):
+        for quantity, cell, value in zip(quantities, pair, found, strict=True):
             if value is None or not np.isfinite(value):
                 raise ValueError(
                     f"`data` must hold numbers, but line {number} of {path} has {shown(cell)} as its {quantity}."
                 )
         values.append(found)
         kept.append(number)
-    notices = [] if not empty else [f"Left out: {_lines_text(empty)}, without a volume or a pressure."]
-    return np.array(values, float).reshape(-1, 2).T, np.array(kept, int), notices
+    absent = " or ".join(f"a {quantity}" for quantity in quantities)
+    notices = [] if not empty else [f"Left out: {_lines_text(empty)}, without {absent}."]
+    return np.array(values, float).reshape(-1, len(quantities)).T, np.array(kept, int), notices
 
 
 def _lines_text(numbers: Sequence[int]) -> str:

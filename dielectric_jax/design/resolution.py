@@ -17,6 +17,7 @@ __all__ = [
     "FAR_STEPS",
     "FELT",
     "FEW_BISECTIONS",
+    "FILM_TOLERANCE",
     "FLATTEST",
     "HUBER",
     "INDEPENDENT",
@@ -40,6 +41,7 @@ __all__ = [
     "MOST_FIT_STEPS",
     "MOST_LARGEST",
     "MOST_POINTS",
+    "MOST_SAMPLES",
     "MOST_SECTIONS",
     "MOST_SOUGHT",
     "MOST_UNCERTAIN",
@@ -179,6 +181,11 @@ EXACT_FIT = 1e-7
 WIDE, ENDLESS = 10.0, 1e6
 #: misfit over the range of pressures: a smaller one is not mentioned
 VISIBLE_MISFIT = 2e-3
+
+#: of the integration of films in time: residuals and their derivatives are then exact to 1e-6 of the stresses
+FILM_TOLERANCE = 1e-8
+#: samples of one test of a film that are fitted; of more, so many are taken
+MOST_SAMPLES = 256
 
 # ---- measurements
 

@@ -11,9 +11,14 @@ from collections.abc import Iterator, Sequence
 from ..numerics import shown
 from .column_names import Head, is_absolute, names_text, read_head, unit_size
 
-__all__ = ["NUMBER", "QUANTITIES", "Line", "Table", "bare", "full", "split", "table_of"]
+__all__ = ["FILM_QUANTITIES", "NUMBER", "QUANTITIES", "Line", "Table", "bare", "full", "split", "table_of"]
 
 QUANTITIES = ("volume", "pressure")
+FILM_QUANTITIES = ("time", "stretch", "stress")
+_CURVES = {
+    QUANTITIES: "a curve of volume and gauge pressure",
+    FILM_QUANTITIES: "a test of time, stretch and nominal stress",
+}
 _ENCODINGS = ("utf-8-sig", "cp1252", "gb18030", "shift_jis", "latin-1")
 _MARKS = (
     (b"\xff\xfe\x00\x00", "utf-32"),
@@ -107,13 +112,32 @@ def full(row: Sequence[str]) -> int:
 
 @dataclasses.dataclass(frozen=True)
 class Table:
-    """The layout of the numbers: the separator, positions and headings of volume and pressure, and the first line of numbers."""
+    """The layout of the numbers: the separator, positions and headings of the quantities, and the first line of numbers."""
 
     separator: str
-    places: tuple[int, int]
-    heads: tuple[Head, Head]
+    places: tuple[int, ...]
+    heads: tuple[Head, ...]
     width: int
     first: int
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """What the columns are."""
+        return tuple(head.quantity for head in self.heads)
+
+
+@dataclasses.dataclass(frozen=True)
+class Wanted:
+    """The quantities that are sought, and their headings or positions and units where they are given."""
+
+    quantities: tuple[str, ...]
+    columns: Sequence[str | int] | None
+    units: Sequence[str] | None
+
+    @property
+    def text(self) -> str:
+        """Volume and pressure; time, stretch and stress."""
+        return f"{', '.join(self.quantities[:-1])} and {self.quantities[-1]}"
 
 
 def _is_numeric(cell: str) -> bool:
@@ -140,15 +164,18 @@ def _first_row(lines: Sequence[Line]) -> int:
     return len(lines)
 
 
-def table_of(path, columns, column_units) -> tuple[list[Line], Table, list[str]]:
+def table_of(
+    path, columns, column_units, quantities: tuple[str, ...] = QUANTITIES
+) -> tuple[list[Line], Table, list[str]]:
     """The lines of the file and the table found in them, in the first encoding in which columns are found."""
     texts, refused = _text_of(path), None
+    wanted = Wanted(quantities, columns, column_units)
     for encoding, text in texts:
         lines = _lines(text)
         if lines and re.fullmatch(r'"?sep=.?"?', lines[0].text.strip(), re.IGNORECASE):
             lines = lines[1:]
         try:
-            table = _find_table(path, lines, columns, column_units)
+            table = _find_table(path, lines, wanted)
         except ValueError as error:
             refused = refused or error
             continue
@@ -157,38 +184,36 @@ def table_of(path, columns, column_units) -> tuple[list[Line], Table, list[str]]
     raise refused or ValueError(f"`data` must be a readable CSV file, but {path} is not.")
 
 
-def _find_table(path, lines: list[Line], columns, column_units) -> Table:
+def _find_table(path, lines: list[Line], wanted: Wanted) -> Table:
     first = _first_row(lines)
     if first == len(lines):
-        raise ValueError(f"`data` must have columns named volume and pressure with numbers, but {path} has no numbers.")
-    if columns is not None and all(str(c).isdigit() for c in columns):
-        return _by_place(path, lines, first, [int(c) for c in columns], column_units)
+        raise ValueError(f"`data` must have columns named {wanted.text} with numbers, but {path} has no numbers.")
+    if wanted.columns is not None and all(str(c).isdigit() for c in wanted.columns):
+        return _by_place(path, lines, first, [int(c) for c in wanted.columns], wanted)
     above = [line for line in reversed(lines[:first])]
     wrong: ValueError | None = None
     for head in sorted(above, key=lambda line: line.remark):
         try:
-            found = _by_head(lines, first, head, columns)
+            found = _by_head(lines, first, head, wanted)
         except ValueError as error:
-            wrong = wrong or ValueError(f"`data` must be a curve of volume and gauge pressure, but {error}.")
+            wrong = wrong or ValueError(f"`data` must be {_CURVES[wanted.quantities]}, but {error}.")
             continue
         if found is not None:
-            return _with_units(path, lines, head, found, column_units)
-    raise wrong or ValueError(_no_columns(path, lines, first, columns))
+            return _with_units(path, lines, head, found, wanted)
+    raise wrong or ValueError(_no_columns(path, lines, first, wanted))
 
 
-def _no_columns(path, lines: list[Line], first: int, columns) -> str:
-    if columns is not None:
-        return (
-            f"`columns` must be headings of one column each in {path}, but {' and '.join(map(shown, columns))} are not."
-        )
+def _no_columns(path, lines: list[Line], first: int, wanted: Wanted) -> str:
+    if wanted.columns is not None:
+        return f"`columns` must be headings of one column each in {path}, but {' and '.join(map(shown, wanted.columns))} are not."
     head = next((line for line in reversed(lines[:first]) if not line.remark), None)
     advice = "name them and their units in the first line, or give `columns` and `column_units`"
     if head is None:
-        return f"`data` must have columns named volume and pressure, but {path} begins with numbers; {advice}."
+        return f"`data` must have columns named {wanted.text}, but {path} begins with numbers; {advice}."
     text = " ".join(head.text.split())[:120]
     height = "; a height is not a volume" if re.search("height|deflection|displacement", text, re.IGNORECASE) else ""
     return (
-        f"`data` must have columns named volume and pressure, but line {head.number} of {path} names {shown(text)}{height}; "
+        f"`data` must have columns named {wanted.text}, but line {head.number} of {path} names {shown(text)}{height}; "
         f"{advice}."
     )
 
@@ -201,8 +226,8 @@ def _ways(lines: list[Line], first: int) -> Iterator[tuple[str, int]]:
             yield separator, len(row)
 
 
-def _by_head(lines: list[Line], first: int, head: Line, columns) -> Table | None:
-    """The table under a heading line; None if the line does not name both columns."""
+def _by_head(lines: list[Line], first: int, head: Line, wanted: Wanted) -> Table | None:
+    """The table under a heading line; None if the line does not name all columns."""
     unclear: ValueError | None = None
     found: list[tuple[bool, Table]] = []
     for (separator, width), of_head in itertools.product(_ways(lines, first), _SEPARATORS):
@@ -213,7 +238,7 @@ def _by_head(lines: list[Line], first: int, head: Line, columns) -> Table | None
         if separator != of_head and full(split(lines[first].text, separator)) > len(cells):
             continue
         try:
-            places, heads = _choose(cells, columns)
+            places, heads = _choose(cells, wanted)
         except ValueError as error:
             unclear = unclear or ValueError(f"line {head.number}: {error}")
             continue
@@ -228,21 +253,23 @@ def _by_head(lines: list[Line], first: int, head: Line, columns) -> Table | None
     return None
 
 
-def _choose(cells: list[str], columns) -> tuple:
-    """Positions and headings of the two columns; empty if one is missing."""
-    if columns is not None:
-        wanted = [[i for i, c in enumerate(cells) if c.strip().lower() == str(n).strip().lower()] for n in columns]
-        if any(len(w) != 1 for w in wanted):
+def _choose(cells: list[str], wanted: Wanted) -> tuple:
+    """Positions and headings of the columns; empty if one is missing."""
+    if wanted.columns is not None:
+        named = [
+            [i for i, c in enumerate(cells) if c.strip().lower() == str(n).strip().lower()] for n in wanted.columns
+        ]
+        if any(len(w) != 1 for w in named):
             return (), ()
-        places = wanted[0][0], wanted[1][0]
+        places = tuple(w[0] for w in named)
         heads = []
-        for quantity, i in zip(QUANTITIES, places, strict=True):
+        for quantity, i in zip(wanted.quantities, places, strict=True):
             own = [h for h in read_head(cells[i]) if h.quantity == quantity]
             heads.append(dataclasses.replace(own[0], rank=0) if own else Head(quantity))
         return places, tuple(heads)
     known = [(i, h) for i, c in enumerate(cells) for h in read_head(c)]
     chosen = []
-    for quantity in QUANTITIES:
+    for quantity in wanted.quantities:
         own = [(i, h) for i, h in known if h.quantity == quantity]
         if len({h.size is None for _, h in own}) == 2:
             own = [(i, h) for i, h in own if h.size is not None]
@@ -251,42 +278,44 @@ def _choose(cells: list[str], columns) -> tuple:
             names = " and ".join(repr(cells[i]) for i, _ in best)
             raise ValueError(f"the columns {names} may both be the {quantity}; give `columns`")
         chosen += best
-    if len(chosen) < 2:
+    if len(chosen) < len(wanted.quantities):
         return (), ()
-    return (chosen[0][0], chosen[1][0]), (chosen[0][1], chosen[1][1])
+    return tuple(i for i, _ in chosen), tuple(h for _, h in chosen)
 
 
-def _by_place(path, lines, first: int, places: list[int], column_units) -> Table:
+def _by_place(path, lines, first: int, places: list[int], wanted: Wanted) -> Table:
     separator, width = next(_ways(lines, first))
     for place in places:
         if not 1 <= place <= width:
             raise ValueError(f"`columns` must be positions from 1 to {width} in {path}, but holds {place}.")
-    heads = Head("volume"), Head("pressure")
-    table = Table(separator, (places[0] - 1, places[1] - 1), heads, width, first)
+    heads = tuple(map(Head, wanted.quantities))
+    table = Table(separator, tuple(place - 1 for place in places), heads, width, first)
     named = [line for line in lines[:first] if not line.remark]
-    if named and column_units is None:
+    if named and wanted.units is None:
         cells = _split_head(named[-1].text, separator)
-        own = [[h for h in read_head(cells[p - 1]) if h.quantity == q] for p, q in zip(places, QUANTITIES, strict=True)]
+        pairs = zip(places, wanted.quantities, strict=True)
+        own = [[h for h in read_head(cells[p - 1]) if h.quantity == q] for p, q in pairs]
         if len(cells) >= width and all(own):
-            return _with_units(path, lines, named[-1], dataclasses.replace(table, heads=(own[0][0], own[1][0])), None)
-    return _with_units(path, lines, None, table, column_units)
+            table = dataclasses.replace(table, heads=tuple(h[0] for h in own))
+            return _with_units(path, lines, named[-1], table, wanted)
+    return _with_units(path, lines, None, table, wanted)
 
 
-def _with_units(path, lines, head: Line | None, table: Table, column_units) -> Table:
+def _with_units(path, lines, head: Line | None, table: Table, wanted: Wanted) -> Table:
     """The table with the units that are given, or those in the heading or in the line below it."""
     heads = list(table.heads)
     between = [] if head is None else [line for line in lines[: table.first] if line.number > head.number]
     rows = [split(line.text, table.separator) for line in between]
     numbers = [any(_is_numeric(row[p]) for p in table.places if p < len(row)) for row in rows]
-    if any(numbers):  # rows that lack one of the two numbers
+    if any(numbers):  # rows that lack one of the numbers
         table = dataclasses.replace(table, first=table.first - len(rows) + numbers.index(True))
         rows = rows[: numbers.index(True)]
-    for k, (quantity, place) in enumerate(zip(QUANTITIES, table.places, strict=True)):
-        unit = heads[k].unit if column_units is None else column_units[k]
+    for k, (quantity, place) in enumerate(zip(wanted.quantities, table.places, strict=True)):
+        unit = heads[k].unit if wanted.units is None else wanted.units[k]
         below = [re.sub(r"^[\[(]|[\])]$", "", row[place]) for row in rows if len(row) > place]
         if unit is None and any(below):
             unit = next(u for u in below if u)
-        if unit is None and heads[k].rank == 3:
+        if unit is None and heads[k].rank == 3 and quantity in QUANTITIES:
             raise ValueError(
                 f"`data` must have columns named volume and pressure, or V and p with units, but {path} names the {quantity} by "
                 "its symbol alone."
@@ -299,10 +328,11 @@ def _with_units(path, lines, head: Line | None, table: Table, column_units) -> T
             raise ValueError(
                 f"`data` must give the {quantity} in a unit such as {names_text(quantity)}, but {path} says {shown(unit)}."
             )
-        heads[k] = Head(quantity, unit, size, 0, k == 1 and (heads[k].absolute or is_absolute(unit or "")))
-    if bool(heads[0].size) != bool(heads[1].size):
+        absolute = quantity == "pressure" and (heads[k].absolute or is_absolute(unit or ""))
+        heads[k] = Head(quantity, unit, size, 0, absolute)
+    if wanted.quantities == QUANTITIES and bool(heads[0].size) != bool(heads[1].size):
         raise ValueError(
             f"`data` must give units of both columns or of neither, but {path} does not; name them in its first line, or "
             "give `column_units`."
         )
-    return dataclasses.replace(table, heads=(heads[0], heads[1]))
+    return dataclasses.replace(table, heads=tuple(heads))

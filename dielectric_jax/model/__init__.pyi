@@ -1,5 +1,6 @@
 from .chart import Scan, cached_scan, explicit_map, map_nodes, stretch_shares
 from .energies import require_float64
+from .films import FILM_MODES, Film, FilmState, Passed, Sampled, film_of, film_states, pass_film
 from .kinds import ClosingEquation, PointKind, RampEvent
 from .loading import (
     Chamber,
@@ -49,10 +50,12 @@ from .shooting import UNKNOWNS, eighth_order_step, integrate_membrane, rim_with_
 from .shooting_method import ShootingMethod, shooting_of
 from .stability import Stability, least_along, stability_of
 from .units import VACUUM_PERMITTIVITY, VHB_4910, Units
-from .viscoelastic import Maxwell, Unrelaxed, Viscoelastic, spring_and_branches
+from .viscoelastic import FLOW, Maxwell, Unrelaxed, Viscoelastic, spring_and_branches
 
 __all__ = [
     "CHUNK",
+    "FILM_MODES",
+    "FLOW",
     "GRIDS",
     "LANES",
     "LEAST_ESTIMATE",
@@ -84,6 +87,8 @@ __all__ = [
     "CustomPermittivity",
     "Electrostrictive",
     "Event",
+    "Film",
+    "FilmState",
     "FoldAhead",
     "Gent",
     "LoadingCondition",
@@ -94,6 +99,7 @@ __all__ = [
     "Ogden",
     "Outcome",
     "Parameter",
+    "Passed",
     "PointKind",
     "Points",
     "PrescribedVolume",
@@ -101,6 +107,7 @@ __all__ = [
     "Ramp",
     "RampEvent",
     "Regime",
+    "Sampled",
     "Scan",
     "Scene",
     "SceneBatch",
@@ -132,6 +139,8 @@ __all__ = [
     "explicit_map",
     "field_on",
     "field_ratio_squared",
+    "film_of",
+    "film_states",
     "integrate_membrane",
     "is_concrete",
     "jacobian_program",
@@ -145,6 +154,7 @@ __all__ = [
     "padded",
     "pair",
     "parameter_of",
+    "pass_film",
     "pick",
     "place_of",
     "plain",

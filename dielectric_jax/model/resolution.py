@@ -157,3 +157,5 @@ STATE_DOUBT = 100.0
 EQUILIBRIUM = 1e-5
 # each branch adds its own equations to every compiled program in time
 MOST_BRANCHES = 8
+# steps of a homogeneous film between events; at a tolerance of 1e-12 a creep to its pull-in takes about a thousand
+MOST_FILM_STEPS = 16384

@@ -4,12 +4,16 @@ from collections.abc import Iterable
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 
 from ..numerics import check_positive
 from .materials import AbstractDielectric, AbstractMaterial, Scalar, as_scalar, is_concrete
 from .resolution import MOST_BRANCHES
 
-__all__ = ["Maxwell", "Unrelaxed", "Viscoelastic", "spring_and_branches"]
+__all__ = ["FLOW", "Maxwell", "Unrelaxed", "Viscoelastic", "spring_and_branches"]
+
+#: of a Newtonian dashpot, dx/dt = FLOW T/τ with the true stresses T of its spring
+FLOW = np.array([[1.0, -0.5], [-0.5, 1.0]]) / 3
 
 
 class Maxwell(eqx.Module):

@@ -1,12 +1,16 @@
 from .events import delay, peak_pressure, snap_voltage
+from .films import FilmEvent, FilmRun, PullIn, film_stress, follow_film, pull_in, vhb_hossain_2012
 from .following import bounds, follow
 from .protocols import AbstractProtocol, Hold, Ramp, Steps, Triangle
 from .runs import Run, RunEvent, Snap, estimate_errors
-from .slow_passage import SlowPassage, slow_passage
+from .passage_laws import SlowPassage, slow_passage
 
 __all__ = [
     "AbstractProtocol",
+    "FilmEvent",
+    "FilmRun",
     "Hold",
+    "PullIn",
     "Ramp",
     "Run",
     "RunEvent",
@@ -17,8 +21,12 @@ __all__ = [
     "bounds",
     "delay",
     "estimate_errors",
+    "film_stress",
     "follow",
+    "follow_film",
     "peak_pressure",
+    "pull_in",
     "slow_passage",
     "snap_voltage",
+    "vhb_hossain_2012",
 ]

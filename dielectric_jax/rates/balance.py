@@ -25,7 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.polynomial import legendre
 
-from ..model import AbstractMaterial, LoadingCondition, Maxwell, capacitance, stresses
+from ..model import FLOW, AbstractMaterial, LoadingCondition, Maxwell, capacitance, stresses
 from .resolution import CROWDING, MOST_NEWTON_STEPS, NEWTON_STEP
 
 __all__ = [
@@ -147,10 +147,6 @@ def _load_stress(material, logs) -> jax.Array:
     l1, l2 = jnp.exp(logs)
     c1, c2 = jax.grad(lambda u, v: jnp.sum(capacitance(material, u, v)), argnums=(0, 1))(l1, l2)
     return jnp.stack([-l1 * c1 / 2, -l2 * c2 / 2])
-
-
-# d(ln ξ)/dt by T, times τ: a Newtonian dashpot that keeps its volume
-FLOW = np.array([[1.0, -0.5], [-0.5, 1.0]]) / 3
 
 
 def _eliminated(matrix: jax.Array, right: jax.Array) -> jax.Array:

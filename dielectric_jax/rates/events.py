@@ -12,8 +12,8 @@ from ..model import Chamber, ConstantPressure, Membrane, Scene, is_concrete, oth
 from ..numerics import Code, SceneError, check_between, check_positive
 from .event_slopes import Given, Record, slopes_of_event
 from .passages import Asking, Passed, passed
-from .phases import begun, phases_of, scale_of, setting_of
-from .protocols import Hold, Ramp, legs_of
+from .phases import begun, scale_of, setting_of
+from .protocols import Hold, Ramp, legs_of, phases_of
 from .requests import serve
 from .resolution import MESHES, STEPS_OF_A_RECORD, TOLERANCE_SHARE
 

@@ -8,9 +8,9 @@ from ..diagram import Diagram, voltage_volume
 from ..model import Membrane, Scene, as_scalar
 from ..numerics import check_between, shown
 from .passages import Asking, Now, Passed, Setting, passed
-from .phases import Phase, begun, phases_of, scale_of, setting_of
+from .phases import begun, scale_of, setting_of
 from .programs import Seen
-from .protocols import Linear, document_of, legs_of
+from .protocols import Linear, Phase, document_of, legs_of, phases_of
 from .requests import serve
 from .resolution import LANDING_TOLERANCE, MESHES, MOST_JUMPS, TOLERANCE_SHARE, VOLUME_SCALE
 from .runs import Run, at_rest, dataset_of, event_of, slopes_of

@@ -25,12 +25,12 @@ from ..model import (
 from ..numerics import Code, SceneError
 from .balance import Grid, Shape
 from .passages import Asking, Now, Setting
-from .protocols import Leg, Linear
+from .protocols import Linear, Phase
 from .requests import Request
 from .resolution import LEAP_SCALE, LOAD_SCALE
 from .runs import at_start
 
-__all__ = ["Phase", "begun", "phases_of", "scale_of", "setting_of", "trial_of"]
+__all__ = ["begun", "scale_of", "setting_of", "trial_of"]
 
 
 def _filling(scene: Scene | Membrane, values: dict) -> tuple[str, float]:
@@ -93,39 +93,6 @@ def _condition(scene: Scene | Membrane, pressure: float, volume: float) -> Loadi
     """The condition of the loading, with the filling of a chamber at the start."""
     loading = scene.loading if isinstance(scene, Scene) else ConstantPressure(pressure)
     return jax.tree.map(float, loading.condition(*((pressure, volume) if isinstance(loading, Chamber) else ())))
-
-
-class Phase(typing.NamedTuple):
-    """A part of a run with smooth courses of what is prescribed, from m = `begin` to `end`; in a "leap" m is no time.
-
-    `falls` says whether what drives the run is held after it has leapt down.
-    """
-
-    kind: str
-    courses: dict
-    begin: float
-    end: float
-    falls: bool = False
-
-
-def phases_of(legs: dict[str, list[Leg]], driven: str) -> list[Phase]:
-    """The legs in which every quantity has one course, and before each the leap to its first values."""
-    last = min(own[-1].end for own in legs.values())
-    ends = sorted({leg.end for own in legs.values() for leg in own if leg.end <= last})
-    found: list[Phase] = []
-    values, begin = {n: 0.0 if n == "voltage" else own[0].at(0.0) for n, own in legs.items()}, 0.0
-    for end in ends:
-        courses = {n: next(leg.course for leg in own if leg.end >= end) for n, own in legs.items()}
-        target = {n: float(c(begin)) for n, c in courses.items()}
-        if any(not math.isclose(target[n], values[n], rel_tol=1e-12, abs_tol=1e-300) for n in target):
-            leaps = {n: Linear(values[n], target[n] - values[n], 0.0) for n in target}
-            found.append(Phase("leap", leaps, 0.0, 1.0))
-        still = all(isinstance(c, Linear) and not c.rate for c in courses.values())
-        falls = abs(target[driven]) < abs(values[driven])
-        found.append(Phase("hold" if still else "flow", courses, begin, end, falls))
-        values = {n: float(c(end)) for n, c in courses.items()} if math.isfinite(end) else target
-        begin = end
-    return found
 
 
 def scale_of(setting: Setting, phase: Phase, moment: float) -> tuple[float, float]:

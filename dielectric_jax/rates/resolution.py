@@ -34,3 +34,7 @@ TOLERANCE_SHARE = 0.2
 CROWDING = 1.5
 # steps of a run whose event is differentiated are padded to a multiple of this
 STEPS_OF_A_RECORD = 64
+# points of a leg at which a homogeneous film is looked at
+FILM_POINTS = 65
+# numbers of times for which programs of films are compiled
+GRID_SIZES = 16, 65, 128, 256, 512, 1024

@@ -13,8 +13,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..model import capacitance
-from .balance import FLOW, Balance, Grid, Shape, Step, log_stress, newton, stretches, tangent, volume_of
+from ..model import FLOW, capacitance
+from .balance import Balance, Grid, Shape, Step, log_stress, newton, stretches, tangent, volume_of
 from .resolution import FAILED_STEP
 
 __all__ = ["Instant", "Radau5", "advance", "instant_of"]

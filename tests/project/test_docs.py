@@ -48,4 +48,16 @@ def calibration_page(names):
     assert names["in_si"]
 
 
-CHECKS = {"sweeps.md": sweeps_page, "calibration.md": calibration_page}
+def rates_page(names):
+    """Checks of the statements on the page about its films."""
+    assert names["relaxed"].stress == pytest.approx([3.9375, 2.710311], rel=1e-6)
+    event = names["creep"].event("pull_in")
+    assert (event.time, event.stretch) == (pytest.approx(9.9744, abs=1e-4), pytest.approx(2.0631, abs=1e-4))
+    found = names["found"]
+    for name, value in (("modulus_ratio", 2.0), ("relaxation_time", 5.0)):
+        low, high = found.intervals[name]
+        assert low < value < high and found.parameters[name] == pytest.approx(value, rel=0.1)
+    assert found.warnings == ()
+
+
+CHECKS = {"sweeps.md": sweeps_page, "calibration.md": calibration_page, "rates.md": rates_page}
