@@ -1,9 +1,9 @@
 from .events import delay, peak_pressure, snap_voltage
 from .films import FilmEvent, FilmRun, PullIn, film_stress, follow_film, pull_in, vhb_hossain_2012
 from .following import bounds, follow
+from .passage_laws import SlowPassage, slow_passage
 from .protocols import AbstractProtocol, Hold, Ramp, Steps, Triangle
 from .runs import Run, RunEvent, Snap, estimate_errors
-from .passage_laws import SlowPassage, slow_passage
 
 __all__ = [
     "AbstractProtocol",

@@ -160,7 +160,7 @@ def follow(
         ValueError: for bad input.
         SceneError: where there is no start.
 
-    >>> from dielectric_jax.model import Gent, Maxwell, Viscoelastic
+    >>> from dielectric_jax.model import ConstantPressure, Gent, Maxwell, Viscoelastic
     >>> from dielectric_jax.rates import Ramp
     >>> rubber = Viscoelastic(Gent(270.0), [Maxwell(Gent(270.0), modulus_ratio=1.0, relaxation_time=1.0)])
     >>> scene = Scene(Membrane(rubber), ConstantPressure(1.82))
@@ -215,7 +215,7 @@ def bounds(scene: Scene, *, start: str = "relaxed") -> tuple[Diagram, Run]:
     equilibria with the dashpots where they are at the start; its events "instantaneous_fold" are where an infinitely fast ramp snaps.
     Raises ValueError for bad input, and SceneError where there is no start.
 
-    >>> from dielectric_jax.model import Gent, Maxwell, Viscoelastic
+    >>> from dielectric_jax.model import ConstantPressure, Gent, Maxwell, Viscoelastic
     >>> rubber = Viscoelastic(Gent(270.0), [Maxwell(Gent(270.0), modulus_ratio=1.0, relaxation_time=1.0)])
     >>> slow, fast = bounds(Scene(Membrane(rubber), ConstantPressure(1.82)))
     >>> round(slow.ramp()["snap"][0].state.voltage, 6), round(fast.event("instantaneous_fold").voltage, 6)

@@ -153,6 +153,7 @@ def test_examples_of_the_documentation(command, name, capsys, tmp_path):
         assert document["active"] == ["survival_margin"] and document["area_strain"] > 20
     else:
         assert np.shape(document["regimes"]) == (20, 20) and document["boundaries"]
+    path.write_text(text.replace("points = 20", "points = 6"), encoding="utf-8")
     assert main([command, str(path)]) == 0
     assert "survival_margin" in (said := capsys.readouterr().out) or "stays" in said
 
