@@ -180,7 +180,7 @@ def disagree(answers: dict) -> bool:
 
 
 def main() -> int:
-    quick = "60 scenes of six Gent membranes, each by its whole diagram too; no polytropic gas"
+    quick = "60 scenes of three Gent membranes, each by its whole diagram too; no polytropic gas"
     parser = harness.arguments(__doc__, quick, seed=True)
     parser.add_argument("--scenes", type=int, default=10_000)
     parser.add_argument("--minutes", type=float, default=np.inf, help="ends after so many minutes")
@@ -189,7 +189,7 @@ def main() -> int:
     parser.add_argument("--kinds", help=f"materials, separated by commas, by default {KINDS}")
     options = parser.parse_args()
     if options.quick:
-        options.scenes, options.share = 60, 1.0
+        options.scenes, options.each, options.share = 60, 20, 1.0
     random = np.random.default_rng(options.seed)
     kinds = (options.kinds or ("gent" if options.quick else KINDS)).split(",")
     harness.say(f"seed {options.seed}")
