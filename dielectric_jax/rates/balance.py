@@ -180,10 +180,8 @@ def _branch(branch: Maxwell, logs, x, begin, moved, flows, inverse) -> tuple[_St
     """
     stages = len(logs)
     value, change = log_stress(branch.material, jnp.moveaxis(logs - x, 1, 0), 0.0)
-    value, change = (
-        jnp.moveaxis(value, 1, 0),
-        jnp.moveaxis(jax.lax.stop_gradient(change), 2, 0),
-    )  # (S, 2, G), (S, 2, 2, G)
+    change = jax.lax.stop_gradient(change)
+    value, change = jnp.moveaxis(value, 1, 0), jnp.moveaxis(change, 2, 0)  # (S, 2, G), (S, 2, 2, G)
     rate = jnp.asarray(FLOW) / branch.relaxation_time
     flowing = flows * jnp.einsum("ij,sjg->sig", rate, value)
     implicit = flows * moved[:, None, None, None] * jnp.einsum("ij,sjkg->sikg", rate, change)

@@ -17,6 +17,7 @@ from ..model import Chamber, ConstantPressure, Membrane, spring_and_branches
 from ..numerics import cached_jit, lapack_alone
 from .balance import ONE, Balance, Grid, Shape, Step, grid_of, linearised, newton, solution_of, stretches, volume_of
 from .passages import Load
+from .phases import filling_of
 from .protocols import Linear
 from .stepping import INVERSE, C, Instant
 
@@ -77,21 +78,10 @@ def _courses(given: Given) -> _Courses:
     return _Courses(Load(Linear(value, rate, 0.0), 0.0), None)
 
 
-def _filled(given: Given) -> tuple[str, typing.Any]:
-    """Which of pressure and volume is given at rest, and its value."""
-    loading = given.loading
-    if loading is None:
-        return "volume", given.value
-    if isinstance(loading, Chamber):
-        by_volume = loading.initial_volume is not None
-        return ("volume", loading.initial_volume) if by_volume else ("pressure", loading.initial_pressure)
-    return "pressure", typing.cast(typing.Any, loading).pressure
-
-
 def _start(given: Given, record: Record, relaxed: bool, grid: Grid) -> tuple[Balance, jax.Array, jax.Array]:
     """The balance under which the membrane flows, the dashpots at the start, and the volume where the flow begins."""
     spring, branches = spring_and_branches(given.membrane.material)
-    name, value = _filled(given)
+    name, value = ("volume", given.value) if given.loading is None else filling_of(given.loading)
     held = {"pressure": None, "volume": None, name: Linear(jnp.asarray(value, float), 0.0, 0.0)}
     none = ConstantPressure(0.0).condition()
     stretch, still = given.membrane.prestretch, Load(Linear(0.0, 0.0, 0.0), 0.0)

@@ -84,25 +84,18 @@ _EVENTS = {"snap": "fold", "delay": "fold", "peak": "peak"}
 _MISSED = {"snap": Code.no_jump, "delay": Code.no_jump, "peak": Code.no_pressure_fold}
 
 
-def _values(asked: _Asked, many: list[Given], slopes: bool) -> list[tuple[float, list]]:
-    """The values of an event and, if asked, its derivatives by the leaves; a value that is not there raises SceneError."""
-    found = []
-    for given, way in zip(many, serve([_way(asked, given) for given in many]), strict=True):
-        if way.last.event != _EVENTS[asked.event]:
-            raise SceneError(_MISSED[asked.event], f"The run ends with {way.last.event!r}.")
-        found.append(_value(asked, given, way, slopes))
-    return found
-
-
-def _value(asked: _Asked, given: Given, way: _Followed, slopes: bool) -> tuple[float, list]:
+def _value(asked: _Asked, given: Given, slopes: bool) -> tuple[float, list]:
+    """The value of an event and, if asked, its derivatives by the leaves; raises SceneError where there is none."""
+    way = serve([_way(asked, given)])[0]
+    if way.last.event != _EVENTS[asked.event]:
+        raise SceneError(_MISSED[asked.event], f"The run ends with {way.last.event!r}.")
     zeros = [np.zeros(np.shape(leaf)) for leaf in jax.tree.leaves(given)]
     if way.leaping:  # the voltage is too high from the beginning
         return 0.0, zeros
     of = "pressure" if asked.event == "peak" else "moment"
-    value, own = float(getattr(way.last.instant.shape, of)), zeros
     if slopes:
-        _, own = slopes_of_event(given, way.record, MESHES[0], asked.start == "relaxed", of)
-    return value, own
+        return slopes_of_event(given, way.record, MESHES[0], asked.start == "relaxed", of)
+    return float(getattr(way.last.instant.shape, of)), zeros
 
 
 def _on_host(asked: _Asked, tree, shapes: list[tuple], slopes: bool, *leaves) -> tuple:
@@ -114,7 +107,7 @@ def _on_host(asked: _Asked, tree, shapes: list[tuple], slopes: bool, *leaves) ->
     values, rows = np.full(many, np.nan), [np.full((many, *s), np.nan) for s in shapes]
     for i in range(many):
         try:
-            ((values[i], own),) = _values(asked, [jax.tree.unflatten(tree, [v[i] for v in flat])], slopes)
+            values[i], own = _value(asked, jax.tree.unflatten(tree, [v[i] for v in flat]), slopes)
         except (ValueError, SceneError):
             continue
         for row, slope in zip(rows, own, strict=True):
@@ -126,7 +119,7 @@ def _number(asked: _Asked, given: Given):
     """The value of an event: outside transformations it raises, inside it is NaN where it is not there."""
     leaves, tree = jax.tree.flatten(given)
     if all(is_concrete(leaf) for leaf in leaves):
-        return jnp.asarray(_values(asked, [given], slopes=False)[0][0])
+        return jnp.asarray(_value(asked, given, slopes=False)[0])
     shapes = [np.shape(leaf) for leaf in leaves]
     results = [jax.ShapeDtypeStruct(shape, jnp.result_type(float)) for shape in ((), *shapes)]
 
@@ -162,7 +155,7 @@ def _given(scene: Scene, value, rate) -> Given:
 
 
 def snap_voltage(scene: Scene, rate, *, start: str = "relaxed", tolerance: float = 1e-8):
-    """The voltage of the first instantaneous fold on a ramp Φ = `rate` t, dimensionless, also past the diagram's breakdown.
+    """The voltage of the first instantaneous fold on a ramp Φ = `rate` t, dimensionless.
 
     Differentiable by the rate and by every number of the scene, forwards and in reverse, once; under `jax.vmap` and `jax.jit`
     too. `follow` says what else happens on the way.

@@ -30,7 +30,7 @@ from .requests import Request
 from .resolution import LEAP_SCALE, LOAD_SCALE
 from .runs import at_start
 
-__all__ = ["begun", "scale_of", "setting_of", "trial_of"]
+__all__ = ["begun", "filling_of", "scale_of", "setting_of", "trial_of"]
 
 
 def _filling(scene: Scene | Membrane, values: dict) -> tuple[str, float]:
@@ -40,16 +40,21 @@ def _filling(scene: Scene | Membrane, values: dict) -> tuple[str, float]:
             return name, float(values[name])
     if not isinstance(scene, Scene):
         raise ValueError("`scene` must be a Scene unless volume or pressure is given, but is a Membrane.")
-    loading = scene.loading
+    name, value = filling_of(scene.loading)
+    return name, float(value)
+
+
+def filling_of(loading) -> tuple[str, typing.Any]:
+    """Which of pressure and volume a loading gives at the start, and its value, which may be traced."""
     if isinstance(loading, ConstantPressure):
-        return "pressure", float(loading.pressure)
+        return "pressure", loading.pressure
     if isinstance(loading, PrescribedVolume):
-        return "volume", float(loading.volume)
+        return "volume", loading.volume
     if not isinstance(loading, Chamber):
         raise other_loading(loading, Chamber, ConstantPressure, PrescribedVolume)
     if loading.initial_volume is not None:
-        return "volume", float(loading.initial_volume)
-    return "pressure", float(typing.cast(typing.Any, loading.initial_pressure))
+        return "volume", loading.initial_volume
+    return "pressure", loading.initial_pressure
 
 
 @functools.lru_cache(maxsize=256)

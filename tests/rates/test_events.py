@@ -64,6 +64,14 @@ def test_derivatives_of_a_peak_of_the_pressure():
     assert float(peak(0.5, 0.0)) == pytest.approx(1.908684829414, rel=1e-9)
 
 
+def test_numbers_are_those_of_runs():
+    """The same jump asked for as a number, and read off a run."""
+    run = rates.follow(scene(), voltage=rates.Ramp(rate=0.01), tolerance=1e-8)
+    assert float(rates.snap_voltage(scene(), 0.01)) == pytest.approx(run.snap.at.voltage, rel=1e-10)
+    held = rates.follow(scene(), voltage=rates.Hold(0.1), tolerance=1e-8)
+    assert float(rates.delay(scene(), 0.1)) == pytest.approx(held.snap.at.time, rel=1e-10)
+
+
 def test_many_at_once_and_none():
     """Under vmap and jit; NaN where there is no jump, which outside transformations is an error in a sentence."""
     snaps = jax.jit(jax.vmap(lambda rate: rates.snap_voltage(scene(), rate)))(np.array([0.01, -1.0, 0.1]))
