@@ -46,6 +46,7 @@ from .resolution import (
     SETTLED,
 )
 from .rim import ShotRim
+from .searches import filling_state
 
 __all__ = ["ConditionsOver", "Followed", "Lost", "Place", "System", "follow"]
 
@@ -193,7 +194,7 @@ def _settled(kind: PointKind, last: Solution, held: Conditions, steps: float) ->
 
 def _fill(scene: Scene) -> Found:
     """The state that fills a chamber at zero voltage."""
-    found = find(("start", "snap"), scene, None)["start"]
+    found = find(("start",), scene, None, filling_state)["start"]
     if not np.isfinite(float(found.state.apex_stretch)):
         raise _NoFilling
     return found

@@ -17,6 +17,7 @@ from ..diagram import (
     chamber_ramps,
     condition_of,
     continue_scenes,
+    equilibrium,
     first_folds_on,
     loading_arrays,
     pressure_ramps,
@@ -24,7 +25,19 @@ from ..diagram import (
     starts,
     voltage_volume,
 )
-from ..model import SCALE, ConstantVoltage, Outcome, PointKind, Scene, SceneBatch, State, locking_stretch
+from ..model import (
+    SCALE,
+    Chamber,
+    ConstantVoltage,
+    Corrected,
+    Membrane,
+    Outcome,
+    PointKind,
+    Scene,
+    SceneBatch,
+    State,
+    locking_stretch,
+)
 from ..numerics import Code, SceneError, advance, begin, cached_jit
 from ..surface import Surface
 from .host_scenes import Scenes
@@ -32,7 +45,7 @@ from .point_systems import Conditions, correction
 from .resolution import CLIMB_GRIDS, CLIMB_STEPS, HIDDEN_FOLDS, MANY, STEPS, TOLERANCE
 from .rim import ShotRim, jets
 
-__all__ = ["EVENTS", "first_folds", "first_folds_on_surface", "ramp_events"]
+__all__ = ["EVENTS", "filling_state", "first_folds", "first_folds_on_surface", "ramp_events"]
 
 #: the events that a search returns, each as λa, p, q, V, error, code
 EVENTS = ("start", "snap", "landing", "breakdown", "snap_back", "landing_back", "rest")
@@ -118,19 +131,38 @@ def _no(code: Code) -> np.ndarray:
     return np.array([np.nan] * 5 + [float(code)])
 
 
+def _start(scene: Scene) -> Corrected:
+    """The state of smallest volume at zero voltage, in arrays of one."""
+    nothing = stacked([ConstantVoltage(0.0).condition()])
+    return starts([scene], _batch_of_one(scene.membrane, nothing), TOLERANCE)
+
+
+def _batch_of_one(membrane: Membrane, condition) -> SceneBatch:
+    return SceneBatch(stacked([membrane]), condition, np.array([locking_stretch(membrane)]), sizes=(1,))
+
+
+def filling_state(scene: Scene) -> list[np.ndarray]:
+    """The state that fills a chamber at zero voltage, a row (1, 7), whatever the ramp from it meets."""
+    start, loading = _start(scene), typing.cast(Chamber, scene.loading)
+    if start.ok[0]:
+        row = _point(start.u[0], start.volume[0], start.error[0])
+    else:  # near the peak of the pressure
+        name = "volume" if loading.initial_volume is not None else "pressure"
+        held = {name: float(getattr(loading, f"initial_{name}"))}
+        row = _of_state(equilibrium(scene.membrane, voltage=0.0, tolerance=TOLERANCE, **held))  # pyright: ignore[reportArgumentType]
+    return [np.append(row, np.nan)]
+
+
 def _first_fold(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """The start of one scene, and the first fold of q on the stable branch from it."""
-    locks = np.array([locking_stretch(scene.membrane)])
-    membrane = stacked([scene.membrane])
-    nothing = stacked([ConstantVoltage(0.0).condition()])
-    start = starts([scene], SceneBatch(membrane, nothing, locks, sizes=(1,)), TOLERANCE)
+    start = _start(scene)
     if not start.ok[0]:
         return _by_diagram(scene)
     at = _point(start.u[0], start.volume[0], start.error[0])
     if start.index[0] != 0:
         return at, _no(Code.start_unstable)
     condition = condition_of(scene, start.u[0, 1], start.volume[0])
-    scene_batch = SceneBatch(membrane, stacked([condition]), locks, sizes=(1,))
+    scene_batch = _batch_of_one(scene.membrane, stacked([condition]))
     limits, lengths = _box(scene), np.array([CLIMB_STEPS.smallest, CLIMB_STEPS.largest, CLIMB_STEPS.largest])
     for accuracy, top in CLIMB_GRIDS:
         grid = TraceGrid(accuracy, np.array(top), lengths)
