@@ -223,10 +223,17 @@ def _run_follow(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], A
     count = max(map(len, asked.protocols.values()))
     _say("runs …" if count > 1 else "run …")
     found = dj.follow([asked.scene] * count, **asked.protocols, **asked.options)
+    followed = [run for run in found if not isinstance(run, Exception)]
+    if not followed:
+        raise found[0]
     if asked.check:
-        dj.rates.estimate_errors(found)
-    documents = [run.to_json(check=asked.check) for run in found]
-    readable = [run.to_json(asked.units, check=asked.check, read=True) for run in found]
+        dj.rates.estimate_errors(followed)
+
+    def document(run: Any, *units: Any, **read: Any) -> dict:
+        return {"error": str(run)} if isinstance(run, Exception) else run.to_json(*units, check=asked.check, **read)
+
+    documents = [document(run) for run in found]
+    readable = [document(run, asked.units, read=True) for run in found]
     args.readable = readable[0] if count == 1 else {"runs": readable}
 
     def draw() -> Any:
@@ -235,7 +242,8 @@ def _run_follow(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], A
         bounds = ()
         if "volume" not in asked.protocols and "pressure" not in asked.protocols:
             bounds = dj.bounds(asked.scene, start=asked.options.get("start", "relaxed"))
-        return plot_follow(found, bounds=bounds, labels=asked.labels, units=asked.units)
+        labels = [label for label, run in zip(asked.labels, found, strict=False) if run in followed]
+        return plot_follow(followed, bounds=bounds, labels=labels, units=asked.units)
 
     return documents[0] if count == 1 else {"runs": documents}, draw
 

@@ -36,6 +36,8 @@ def summary(document: dict) -> str:
         return "\n\n".join(summary(d) for d in document["diagrams"])
     if "runs" in document:
         return "\n\n".join(summary(d) for d in document["runs"])
+    if "error" in document:
+        return document["error"]
     units = document.get("unit_names", {})
     scene = ", ".join(
         f"{k} {_number_text(v)}{_unit_of(k, units) if isinstance(v, float) else ''}"

@@ -152,13 +152,13 @@ def follow(
         tolerance: about the relative error of events.
 
     Returns:
-        A `Run`, or a list of them. At an instantaneous fold the film jumps at frozen dashpots; a jump is an event with its landing,
+        A `Run`, or a list of them, in which the error of a scene without a start stands in place of its run. At an instantaneous fold the film jumps at frozen dashpots; a jump is an event with its landing,
         never silent. A run ends with a reason: "end of the protocol", "at rest", "breakdown on the branch", "breakdown in the snap",
         "hoop tension lost", "landing not found", "not converged" and others that say what could not be followed.
 
     Raises:
         ValueError: for bad input.
-        SceneError: where there is no start.
+        SceneError: where a single scene has no start.
 
     >>> from dielectric_jax.model import ConstantPressure, Gent, Maxwell, Viscoelastic
     >>> from dielectric_jax.rates import Ramp
@@ -194,7 +194,7 @@ def follow(
     for own, named in zip(scenes, zip(*given, strict=True), strict=True):
         protocol = {name: said for name, _, said in named} | asked
         runs.append(_run_of(own, {name: legs for name, legs, _ in named}, protocol, MESHES[0], tolerance))
-    found = serve(runs)
+    found = serve(runs, keep_errors=not one)
     return found[0] if one else found
 
 

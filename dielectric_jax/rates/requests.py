@@ -6,7 +6,7 @@ from collections.abc import Generator, Sequence
 import jax
 import numpy as np
 
-from ..numerics import lapack_alone, run_lanes
+from ..numerics import SceneError, lapack_alone, run_lanes
 from .programs import evolve_program, locate_program, restep_program, settle_program
 from .resolution import RUNS_TOGETHER
 
@@ -58,8 +58,12 @@ def _answered(requests: list[Request]) -> list:
     return [jax.tree.map(lambda v, i=i: v[i], found) for i in range(len(requests))]
 
 
-def serve(runs: Sequence[Generator[Request, typing.Any, typing.Any]]) -> list:
-    """What the generators return, when every request has been answered."""
+def serve(runs: Sequence[Generator[Request, typing.Any, typing.Any]], *, keep_errors: bool = False) -> list:
+    """What the generators return, when every request has been answered.
+
+    With `keep_errors` the SceneError or ValueError of a run stands in its place, and the others go on.
+    """
+    kept = (SceneError, ValueError) if keep_errors else ()
     results: list = [None] * len(runs)
     waiting: dict[int, Request] = {}
 
@@ -68,6 +72,8 @@ def serve(runs: Sequence[Generator[Request, typing.Any, typing.Any]]) -> list:
             waiting[i] = runs[i].send(answer)
         except StopIteration as stop:
             results[i] = stop.value
+        except kept as error:
+            results[i] = error
 
     for i in range(len(runs)):
         resume(i, None)

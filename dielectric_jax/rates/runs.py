@@ -242,16 +242,17 @@ def _in(protocol: typing.Any, convert: typing.Callable[[float], float]) -> typin
     return out | ({"steps": steps} if steps else {})
 
 
-def estimate_errors(runs: Sequence[Run]) -> list[float]:
-    """The `error_estimate` of runs, whose finer runs are followed side by side.
+def estimate_errors(runs: Sequence[Run | Exception]) -> list[float]:
+    """The `error_estimate` of runs, whose finer runs are followed side by side; NaN for the error of a scene without a run.
 
     >>> estimate_errors([])
     []
     """
-    new = [run for run in runs if "_finer" not in vars(run)]
+    followed = [run for run in runs if isinstance(run, Run)]
+    new = [run for run in followed if "_finer" not in vars(run)]
     for run, finer in zip(new, serve([run._again() for run in new]), strict=True):
         vars(run)["_finer"] = finer
-    return [run.error_estimate for run in runs]
+    return [run.error_estimate if isinstance(run, Run) else math.nan for run in runs]
 
 
 def event_of(kind: str, seen: Seen, time: float, reason: str = "") -> RunEvent:

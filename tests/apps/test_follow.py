@@ -175,3 +175,28 @@ def test_bad_files_are_one_sentence(capsys, tmp_path, change, allowed, value):
 def test_a_scene_without_a_start(capsys, tmp_path):
     assert main(["follow", changed(tmp_path, ("initial_volume = 2.42", "initial_volume = 0.0"))]) == 1
     assert capsys.readouterr().err.startswith("dielectric-jax: flat_unstretched: ")
+
+
+HELD = """[scene]
+material = "viscoelastic"
+[[scene.branches]]
+material = "gent"
+modulus_ratio = 1.0
+relaxation_time = 1.0
+[volume]
+protocol = "hold"
+value = [2.0, 1e9]
+[follow]
+check = false
+"""
+
+
+def test_a_run_without_a_start_leaves_the_others_alone(capsys, tmp_path):
+    (tmp_path / "held.toml").write_text(HELD, encoding="utf-8")
+    assert main(["follow", str(tmp_path / "held.toml"), "--json", "-", "--figure", str(tmp_path / "f.png")]) == 0
+    held, refused = json.loads(capsys.readouterr().out)["runs"]
+    assert held["events"][-1]["volume"] == pytest.approx(2.0) and list(refused) == ["error"]
+    assert refused["error"].startswith("`volume` must lie between")
+    (tmp_path / "held.toml").write_text(HELD.replace("2.0, ", ""), encoding="utf-8")
+    assert main(["follow", str(tmp_path / "held.toml")]) != 0
+    assert capsys.readouterr().err.startswith("dielectric-jax: `volume` must lie between")

@@ -1,6 +1,7 @@
 """Membranes in time against reference numbers of other methods, exact limits, and closed forms."""
 
 import json
+import math
 import pathlib
 
 import numpy as np
@@ -292,6 +293,18 @@ def test_bad_input():
     ):
         with pytest.raises(ValueError, match=words):
             call()
+
+
+def test_a_scene_without_a_start_leaves_the_others_alone():
+    scene = scene_of({"material": "M1", "pressure": 1.82})
+    beyond = scene.replace(pressure=50.0)
+    with pytest.raises((dj.SceneError, ValueError)):
+        rates.follow(beyond, voltage=rates.Ramp(rate=0.01))
+    alone = rates.follow(scene, voltage=rates.Ramp(rate=0.01))
+    refused, run = rates.follow([beyond, scene], voltage=rates.Ramp(rate=0.01))
+    assert isinstance(refused, (dj.SceneError, ValueError)) and str(refused)
+    assert run.reason == alone.reason and run.snap.at.voltage == alone.snap.at.voltage
+    assert math.isnan(rates.estimate_errors([refused])[0])
 
 
 def test_parameters_of_a_viscoelastic_scene():
