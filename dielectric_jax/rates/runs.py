@@ -179,15 +179,18 @@ class Run:
     def error_estimates(self) -> tuple[float, ...]:
         """For every event the largest relative difference of its time, voltage, pressure and volume from those of a finer run.
 
-        That run has more functions and a smaller tolerance. Infinite where its events are others.
+        That run has more functions and a smaller tolerance. Infinite where its events are others. The time of an end "at rest" is
+        left out: it is the first step at which nothing moves any more, within the tolerance.
         """
         finer = self._finer
         if [e.kind for e in finer.events] != [e.kind for e in self.events] or finer.reason != self.reason:
             return (math.inf,) * len(self.events)
-        return tuple(
-            max(abs(getattr(a, n) - getattr(b, n)) / max(abs(getattr(b, n)), 1e-3) for n in _COMPARED)
-            for a, b in zip(self.events, finer.events, strict=True)
-        )
+
+        def apart(a: RunEvent, b: RunEvent) -> float:
+            names = [n for n in _COMPARED if n != "time" or a.reason != "at rest"]
+            return max(abs(getattr(a, n) - getattr(b, n)) / max(abs(getattr(b, n)), 1e-3) for n in names)
+
+        return tuple(apart(a, b) for a, b in zip(self.events, finer.events, strict=True))
 
     @property
     def error_estimate(self) -> float:

@@ -118,6 +118,12 @@ def test_the_first_diagram_is_measured_and_right(tmp_path):
     assert filled[stages]["compile"] < empty[stages]["compile"] and filled[stages]["load"] > 0
 
 
+def test_random_protocols_end_with_a_reason_as_finer_runs_do(tmp_path):
+    record, said = quick("acceptance.protocols", tmp_path)
+    assert record["counts"] == {"agrees": 2} and record["differing"] == record["open"] == [], said
+    assert record["largest_error"] <= record["parameters"]["allowed"] and sum(record["reasons"].values()) == 2
+
+
 def test_sixty_random_scenes_have_one_answer_in_every_way(tmp_path):
     record, said = quick("acceptance.one_answer", tmp_path)
     assert "PASSED" in said and record["differing"] == []
