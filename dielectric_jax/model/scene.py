@@ -230,12 +230,13 @@ class Scene(eqx.Module):
         not depend.
         """
         path = self.path_of(name)
-        if isinstance(_at(self, path), tuple):
-            raise ValueError(f"`{name}` must not vary, because its value is a list.")
         if path[2:3] == ("branches",):
             raise ValueError(
-                f"`{name}` must not vary here, because the membrane at rest does not depend on it; `dj.follow` and `dj.bounds` do."
+                f"`{name}` must not vary here, because the membrane at rest does not depend on it; `dj.follow`, `dj.bounds` and sweeps with "
+                "`engine=dj.rates.InTime(…)` do."
             )
+        if isinstance(_at(self, path), tuple):
+            raise ValueError(f"`{name}` must not vary, because its value is a list.")
 
     @property
     def _branches(self) -> tuple[Maxwell, ...]:

@@ -4,19 +4,23 @@ from .following import bounds, follow
 from .passage_laws import SlowPassage, slow_passage
 from .protocols import AbstractProtocol, Hold, Ramp, Steps, Triangle
 from .runs import Run, RunEvent, Snap, estimate_errors
+from .sweeping import InTime, RunOutcome, TimeRegime, regime_in_time
 
 __all__ = [
     "AbstractProtocol",
     "FilmEvent",
     "FilmRun",
     "Hold",
+    "InTime",
     "PullIn",
     "Ramp",
     "Run",
     "RunEvent",
+    "RunOutcome",
     "SlowPassage",
     "Snap",
     "Steps",
+    "TimeRegime",
     "Triangle",
     "bounds",
     "delay",
@@ -26,6 +30,7 @@ __all__ = [
     "follow_film",
     "peak_pressure",
     "pull_in",
+    "regime_in_time",
     "slow_passage",
     "snap_voltage",
     "vhb_hossain_2012",

@@ -180,14 +180,15 @@ class Run:
         """For every event the largest relative difference of its time, voltage, pressure and volume from those of a finer run.
 
         That run has more functions and a smaller tolerance. Infinite where its events are others. The time of an end "at rest" is
-        left out: it is the first step at which nothing moves any more, within the tolerance.
+        left out: it is the first step at which nothing moves any more, within the tolerance, or the protocol's end comes first.
         """
-        finer = self._finer
-        if [e.kind for e in finer.events] != [e.kind for e in self.events] or finer.reason != self.reason:
+        finer, ends = self._finer, (self.reason, self._finer.reason)
+        kinds = [e.kind for e in finer.events], [e.kind for e in self.events]
+        if kinds[0] != kinds[1] or not (ends[0] == ends[1] or set(ends) == set(_UNBROKEN)):
             return (math.inf,) * len(self.events)
 
         def apart(a: RunEvent, b: RunEvent) -> float:
-            names = [n for n in _COMPARED if n != "time" or a.reason != "at rest"]
+            names = [n for n in _COMPARED if n != "time" or "at rest" not in (a.reason, b.reason)]
             return max(abs(getattr(a, n) - getattr(b, n)) / max(abs(getattr(b, n)), 1e-3) for n in names)
 
         return tuple(apart(a, b) for a, b in zip(self.events, finer.events, strict=True))
@@ -233,6 +234,7 @@ def _hermite(share: float, h: float, begin, end, begin_rate, end_rate):
     return kept + h * share * back * (back * begin_rate - share * end_rate)
 
 
+_UNBROKEN = ("at rest", "end of the protocol")
 _COMPARED = ("time", "voltage", "pressure", "volume")
 
 

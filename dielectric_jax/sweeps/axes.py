@@ -20,7 +20,7 @@ _METHODS = ("sobol", "latin_hypercube", "random")
 def _checked(name: str, values) -> np.ndarray:
     """The values of a parameter as a column; raises ValueError for values that no scene can have."""
     row = parameter_of(name)
-    if row.many:
+    if row.many and "branches" not in row.path:  # of branches one number serves all
         raise ValueError(f"`{name}` must not vary along an axis, because its value is a list.")
     try:
         column = np.atleast_1d(np.asarray(values, float))
@@ -155,11 +155,13 @@ def read_scenes(path, dimension: str = "scene") -> Axis:
 class Design:
     """The product of axes, with a scene that provides all other parameters.
 
-    Scenes lie on a grid of the axes' dimensions, and blocks are the chunks of that grid.
+    Scenes lie on a grid of the axes' dimensions, and blocks are the chunks of that grid. `of_engine` are the names of axes that
+    an engine in time knows, which then also knows the constants of branches; None of engines of a membrane at rest.
     """
 
     scene: Scene
     axes: tuple[Axis, ...]
+    of_engine: tuple[str, ...] | None = None
 
     def __post_init__(self):
         if not isinstance(self.scene, Scene):
@@ -176,9 +178,11 @@ class Design:
             seen |= {axis.dimension, *axis.columns}
         if {"initial_volume", "initial_pressure"} <= seen:
             raise ValueError("`initial_volume` and `initial_pressure` must not both vary: each sets the filling.")
-        for axis in self.axes:
-            for name in axis.columns:
+        for name in (name for axis in self.axes for name in axis.columns):
+            if self.of_engine is None:
                 self.scene.check_varies(name)
+            elif name not in self.of_engine:
+                self.scene.path_of(name)
 
     @property
     def dimensions(self) -> tuple[str, ...]:

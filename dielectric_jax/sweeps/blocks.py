@@ -24,8 +24,9 @@ from ..diagram import (
 from ..model import PARAMETERS, Chamber, ConstantPressure, Membrane, Regime, Scene, place_of
 from ..numerics import SceneError, alone, enable_compilation_cache, enabled_folder
 from ..surface import Surface, SurfaceFamily
+from .engines import Engine, job_variables, parameters_of
 from .resolution import BLOCK_OF_CONTINUATION, BLOCK_OF_SURFACE, BLOCK_WITH_MORE, BLOCKS, MOST_SURFACES
-from .variables import Answer, Source, answer_of_diagram, answers_of, empty_answer
+from .variables import Answer, Source, answer_of_diagram, answers_of, empty_answer, unanswered
 
 __all__ = ["Job", "compute_block", "surface_of"]
 
@@ -38,7 +39,7 @@ class Job:
     """
 
     scene: Scene
-    engine: str = "surface"
+    engine: str | Engine = "surface"
     resolve: bool = False
     curves: bool = False
     tolerance: float = 1e-9
@@ -126,9 +127,10 @@ class _Block:
     def __init__(self, job: Job, columns: dict[str, np.ndarray]):
         self.job, self.columns = job, columns
         self.count = len(next(iter(columns.values())))
-        self.answer = empty_answer(self.count, job.curves)
+        self.answer = unanswered(self.count, job_variables(job.engine, job.curves))
         self.groups: list[tuple[np.ndarray, Scene]] = []
-        for which, values in _groups(list(columns), columns, self.count):
+        self.of_engine = {name: columns[name] for name in parameters_of(job.engine) or () if name in columns}
+        for which, values in _groups([n for n in columns if n not in self.of_engine], columns, self.count):
             try:
                 self.groups.append((which, job.scene.replace(**values)))
             except ValueError:
@@ -136,7 +138,8 @@ class _Block:
 
     def loadings(self, which: np.ndarray) -> dict[str, np.ndarray]:
         """The varied parameters of the loading, for some of the scenes."""
-        return {n: column[which] for n, column in self.columns.items() if place_of(n)[0] == "loading"}
+        names = [n for n in self.columns if n not in self.of_engine and place_of(n)[0] == "loading"]
+        return {n: self.columns[n][which] for n in names}
 
     def scenes(self, which: np.ndarray) -> list[Scene]:
         """The scenes at some positions, in order."""
@@ -167,6 +170,12 @@ class _Block:
     def by_surface(self) -> None:
         for which, scene in self.groups:
             self.halved(lambda own, scene=scene: _on_surface(self.job, scene, self.loadings(own), len(own)), which)
+
+    def by_engine(self, engine: Engine, which: np.ndarray) -> None:
+        def compute(own):
+            return engine.answers(self.scenes(own), {name: column[own] for name, column in self.of_engine.items()})
+
+        self.halved(compute, which)
 
     def by_continuation(self, which: np.ndarray) -> None:
         def compute(own):
@@ -202,10 +211,13 @@ def compute_block(job: Job, columns: dict[str, np.ndarray]) -> dict[str, np.ndar
     """
     make_ready(job)
     block = _Block(job, columns)
-    if job.engine == "surface":
+    valid = np.sort(np.concatenate([np.array([], int), *(which for which, _ in block.groups)]))
+    if not isinstance(job.engine, str):
+        block.by_engine(job.engine, valid)
+    elif job.engine == "surface":
         block.by_surface()
     else:
-        block.by_continuation(np.sort(np.concatenate([np.array([], int), *(which for which, _ in block.groups)])))
+        block.by_continuation(valid)
     if job.resolve:
         if job.engine == "surface":
             block.by_continuation(block.left())
@@ -273,6 +285,8 @@ def block_size(job: Job, count: int) -> int:
 
     It depends on the sweep alone, so that two runs of one sweep have the same layout of their stores.
     """
+    if not isinstance(job.engine, str):
+        return job.engine.block
     if job.engine == "continuation":
         least, most = BLOCK_OF_CONTINUATION
     else:

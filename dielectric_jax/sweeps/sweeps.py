@@ -22,10 +22,11 @@ from ..numerics import StoreError, check_whole, enabled_folder, source_digest
 from ..surface import check_tolerance, fingerprint
 from .axes import Axis, Design, axes_of
 from .blocks import Job, block_size, compute_block
+from .engines import Engine, check_engine, job_variables, parameters_of
 from .executors import Progress, executor_of, run_blocks
 from .resolution import FAMILY_FROM, MOST_BLOCKS
 from .store import Memory, ZarrStore, need, open_group
-from .variables import Answer, variables_of
+from .variables import Answer
 
 __all__ = ["open_sweep", "sweep"]
 
@@ -39,7 +40,7 @@ def sweep(
     output: str | os.PathLike | None = None,
     resume: bool = False,
     accept_versions: bool = False,
-    engine: str = "surface",
+    engine: str | Engine = "surface",
     resolve: bool = False,
     curves: bool = False,
     tolerance: float = 1e-9,
@@ -59,7 +60,8 @@ def sweep(
         output: a zarr store to write block by block; the result is then read from it lazily. In memory when None.
         resume: continue the store if it exists, with its own block size.
         accept_versions: continue a store that was begun by other versions.
-        engine: "surface", or "continuation", which does not need a surface of each membrane.
+        engine: "surface", or "continuation", which does not need a surface of each membrane; or an engine with variables of its
+            own, such as `dj.rates.InTime`, for which `resolve`, `curves` and `tolerance` have no meaning.
         resolve: decide scenes left open by the engine with continuation and whole diagrams.
         curves: also compute the curves of voltage against volume, 256 states each (surface only).
         tolerance: largest error of the surface, or of continuation.
@@ -82,7 +84,8 @@ def sweep(
     [0.097199007, 0.07649536]
     """
     require_float64()
-    design = Design(scene, (*axes, *axes_of(parameters)))
+    check_engine(engine, resolve, curves)
+    design = Design(scene, (*axes, *axes_of(parameters)), parameters_of(engine))
     job = _job(design, engine, resolve, curves, tolerance)
     if block is not None:
         check_whole("block", block, 1, 2**31 - 1)
@@ -91,7 +94,7 @@ def sweep(
     need("xarray")
     if isinstance(executor, int) and executor is not True:
         _check_pickle(job)
-    variables = variables_of(curves)
+    variables = job_variables(engine, curves)
     _check_names(design, variables)
     attributes = _attributes(design, job)
     path = None if output is None else pathlib.Path(output)
@@ -117,9 +120,12 @@ def sweep(
     return open_sweep(typing.cast(pathlib.Path, path))
 
 
-def _job(design: Design, engine: str, resolve: bool, curves: bool, tolerance: float) -> Job:
-    if engine not in ("surface", "continuation"):
-        raise ValueError(f"`engine` must be 'surface' or 'continuation', but is {engine!r}.")
+def _job(design: Design, engine: str | Engine, resolve: bool, curves: bool, tolerance: float) -> Job:
+    folder = enabled_folder()
+    cache = None if folder is None else str(folder)
+    if not isinstance(engine, str):
+        engine.check_axes(design.scene, {name for axis in design.axes for name in axis.columns})
+        return Job(design.scene, engine, cache=cache)
     if engine == "surface":
         check_tolerance(tolerance, "surface")
     check_request(8, tolerance)
@@ -136,8 +142,7 @@ def _job(design: Design, engine: str, resolve: bool, curves: bool, tolerance: fl
     family = None
     if engine == "surface" and stretches and len(np.unique(stretches[0])) >= FAMILY_FROM:
         family = float(stretches[0].min()), float(stretches[0].max())
-    folder = enabled_folder()
-    return Job(design.scene, engine, resolve, curves, tolerance, family, None if folder is None else str(folder))
+    return Job(design.scene, engine, resolve, curves, tolerance, family, cache)
 
 
 def _check_size(design: Design, chunk, variables, in_memory: bool) -> None:
@@ -242,7 +247,7 @@ def _attributes(design: Design, job: Job) -> dict[str, str]:
         "scene": scene,
         "window": [window.apex_stretch and list(window.apex_stretch), list(window.load_fraction)],
         "axes": axes,
-        "engine": job.engine,
+        "engine": job.engine if isinstance(job.engine, str) else job.engine.document(),
         "resolve": job.resolve,
         "curves": job.curves,
         "tolerance": job.tolerance,

@@ -20,6 +20,7 @@ __all__ = [
     "Variable",
     "answers_of",
     "empty_answer",
+    "unanswered",
     "variables_of",
 ]
 
@@ -152,7 +153,12 @@ def variables_of(curves: bool) -> list[Variable]:
 
 def empty_answer(count: int, curves: bool) -> dict[str, np.ndarray]:
     """The variables of `count` scenes that are not answered yet."""
-    return {v.name: np.full((count, *v.dims.values()), v.fill, v.dtype) for v in variables_of(curves)}
+    return unanswered(count, variables_of(curves))
+
+
+def unanswered(count: int, variables: list[Variable]) -> dict[str, np.ndarray]:
+    """Arrays (count, …) of the fill values of variables."""
+    return {v.name: np.full((count, *v.dims.values()), v.fill, v.dtype) for v in variables}
 
 
 def answers_of(ramps: Ramps, source: Source, code: typing.Any = Code.ok) -> dict[str, np.ndarray]:
