@@ -465,13 +465,13 @@ REASONS: list[tuple[tuple[str, ...], typing.Callable[[dj.Scene, str], bool], str
     (("option",), lambda s, n: n == "breakdown_field_scale", "is not known here; `dielectric-jax --help` lists"),
     (
         ("file", *(v for v in COMPUTED if v != "grad")),
-        lambda s, n: parameter_of(n).many,
+        lambda s, n: parameter_of(n).many and "branches" not in parameter_of(n).path,
         "must not vary.*, because its value is a list",
     ),
     (
         ("file", *(v for v in COMPUTED if v != "grad")),
-        lambda s, n: n.startswith("branches["),
-        "must not vary here, because the membrane at rest does not depend on it; `dj.follow` and `dj.bounds` do|"
+        lambda s, n: "branches" in parameter_of(n).path,
+        "must not vary here, because the membrane at rest does not depend on it; `dj.follow`, `dj.bounds` and sweeps with|"
         "`dimension` must be a name of letters and digits",
     ),
     (

@@ -177,7 +177,7 @@ def test_options(name):
 @pytest.mark.parametrize("name", PARAMETERS)
 def test_axes(name):
     row = PARAMETERS[name]
-    if row.many:
+    if row.many and "branches" not in row.path:  # a sweep in time gives every branch the same number
         with pytest.raises(ValueError, match="its value is a list"):
             zipped(**{name: [1.0, 2.0]})
         return
