@@ -57,3 +57,10 @@ def test_bad_input():
             dj.sweep(SCENE, **options)
     with pytest.raises(ValueError, match="`tolerance` must"):
         InTime(rate=1.0, tolerance=1.0)
+
+
+def test_scenes_without_an_answer_have_the_numbers_of_other_sweeps():
+    """The blocks of a sweep write these numbers, whatever its engine."""
+    for name in ("not_computed", "no_answer", "invalid_scene", "failed"):
+        assert RunOutcome[name] == dj.sweeps.Answer[name]
+    assert RunOutcome.not_followed == dj.sweeps.Answer.unresolved
