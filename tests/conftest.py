@@ -7,13 +7,30 @@ import pathlib
 import shutil
 import tempfile
 
-# One cache folder for each run: what one test traces, compiles or builds, other tests and processes of the run read.
-# Set before JAX is imported, and inherited by workers and by the scripts that tests start.
+# One cache folder for each run: what one test traces or builds, other tests and processes of the run read. What XLA compiles
+# stays for the next run, under a digest of the program, its options and XLA's version, unless JAX_COMPILATION_CACHE_DIR names
+# another folder. Set before JAX is imported, and inherited by workers and by the scripts that tests start.
 _OWN = None
+_MOST_COMPILED = 3e9  # bytes
+
+
+def _compiled_before() -> str:
+    """The folder of compiled programs, without the oldest half where it has grown too large."""
+    folder = pathlib.Path(os.environ.get("XDG_CACHE_HOME") or pathlib.Path.home() / ".cache") / "dielectric_jax_tests"
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    files = sorted(folder.iterdir(), key=lambda file: file.stat().st_mtime)
+    if sum(file.stat().st_size for file in files) > _MOST_COMPILED:
+        for file in files[: len(files) // 2]:
+            file.unlink(missing_ok=True)
+    return str(folder)
+
+
 if "DIELECTRIC_JAX_TESTS" not in os.environ:
     _OWN = os.environ["DIELECTRIC_JAX_TESTS"] = tempfile.mkdtemp(prefix="dielectric_jax_tests_")
-    os.environ["JAX_COMPILATION_CACHE_DIR"] = os.environ["DIELECTRIC_JAX_CACHE"] = f"{_OWN}/kept"
-    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.2"
+    os.environ["DIELECTRIC_JAX_CACHE"] = f"{_OWN}/kept"
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        os.environ["JAX_COMPILATION_CACHE_DIR"] = _compiled_before()
+    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
     os.environ["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"
 
 import hypothesis

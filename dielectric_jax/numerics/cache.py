@@ -132,17 +132,18 @@ def enable_compilation_cache(directory: str | os.PathLike | None = None) -> path
 
     The environment variable DIELECTRIC_JAX_CACHE names another folder, or switches the cache off with "off". A folder that
     another user owns or may write to is refused with a warning, and so is one that cannot be made. Returns the folder, None
-    where it is off or refused.
+    where it is off or refused. Where JAX has a cache already, as by JAX_COMPILATION_CACHE_DIR, it keeps that one for what is
+    compiled, with its settings, and the folder holds traces and surfaces.
     """
     import jax
 
     global _enabled
-    path = _enabled = _usable(cache_folder(directory))
-    if path is None:
-        return None
-    jax.config.update("jax_compilation_cache_dir", str(path))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    before, path = _enabled, _usable(cache_folder(directory))
+    _enabled = path
+    if path is not None and jax.config.jax_compilation_cache_dir in (None, str(before), str(path)):
+        jax.config.update("jax_compilation_cache_dir", str(path))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+        jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     return path
 
 

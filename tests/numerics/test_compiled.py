@@ -238,6 +238,22 @@ def test_a_surface_of_another_user_is_built_anew(monkeypatch, tmp_path):
     assert path.stat().st_uid == 0 and path.stat().st_mode & 0o777 == 0o600  # it replaced the other file
 
 
+def test_a_cache_of_the_users_for_compiled_programs_stays(monkeypatch, tmp_path):
+    monkeypatch.delenv("DIELECTRIC_JAX_CACHE", raising=False)
+    monkeypatch.setattr(cache, "_enabled", None)
+    before = jax.config.jax_compilation_cache_dir
+    try:
+        jax.config.update("jax_compilation_cache_dir", str(tmp_path / "theirs"))
+        assert dj.enable_compilation_cache(tmp_path / "ours") == cache.enabled_folder() == tmp_path / "ours"
+        assert jax.config.jax_compilation_cache_dir == str(tmp_path / "theirs")
+        jax.config.update("jax_compilation_cache_dir", None)
+        for name in ("ours", "others"):  # our own folder follows the last call
+            dj.enable_compilation_cache(tmp_path / name)
+            assert jax.config.jax_compilation_cache_dir == str(tmp_path / name)
+    finally:
+        jax.config.update("jax_compilation_cache_dir", before)
+
+
 def test_without_numbers_of_users_nothing_is_asked(folder, monkeypatch):
     monkeypatch.delattr(os, "getuid", raising=False)
     folder.mkdir(mode=0o777)
