@@ -178,6 +178,7 @@ def diagrams(quick: bool) -> list[dict]:
         "chamber, tolerance 1e-12": (lambda: dj.voltage_volume(chamber, tolerance=1e-12), at_chamber),
         "chamber, profiles at special points": (with_profiles, at_chamber),
         "chamber, way down as well": (lambda: _with_way_down(dj.voltage_volume(chamber)), at_chamber),
+        "chamber, modes 1 to 24": (lambda: dj.voltage_volume(chamber, modes=range(1, 25)), at_chamber),
         "chamber on a surface, certified": (ours["surface, certified"], at_chamber),
         "chamber at a glance": (ours["glance"], at_chamber),
         "chamber on a surface alone": (ours["surface alone"], at_chamber),

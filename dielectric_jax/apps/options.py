@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from ..model import PARAMETERS
-from ..numerics import LARGEST, shown
+from ..numerics import LARGEST, shown, whole_range
 
 __all__ = [
     "CHAMBER_OPTIONS",
@@ -176,12 +176,10 @@ def _add_equilibrium(commands, common: Parser) -> None:
 
 def _numbers(text: str) -> tuple[int, ...]:
     """Circumferential numbers: one, or a range 0:12 that includes both ends."""
-    ends = text.split(":")
-    if len(ends) > 2 or not all(re.fullmatch(r"[0-9]{1,3}", end) for end in ends) or int(ends[0]) > int(ends[-1]):
-        raise argparse.ArgumentTypeError(
-            f"must be a whole number or a range such as 0:12, of at most three digits, but is {shown(text)}."
-        )
-    return tuple(range(int(ends[0]), int(ends[-1]) + 1))
+    try:
+        return whole_range("", text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error).removeprefix("`` ")) from None
 
 
 def _add_modes(commands, common: Parser) -> None:

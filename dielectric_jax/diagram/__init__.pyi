@@ -2,8 +2,9 @@ from .batch import Batch, MembraneKey, condition_of, continue_scenes, stacked, s
 from .diagrams import Diagram, pressure_volume, voltage_volume
 from .glances import Glance, glance
 from .mesh import hermite
+from .mode_points import NOT_DECIDED
 from .neutral import neutral_modes
-from .ramp import ENDS
+from .ramp import ENDS, LOSSES, NOT_LOCATED
 from .ramps import APEX, ERROR, LISTED, LOAD, PRESSURE, SLOTS, VOLUME, RampArrays, Ramps, Slot, States, ramps_of
 from .regimes import regime_of, regime_of_diagram
 from .states import check_request, equilibrium, filling
@@ -27,6 +28,9 @@ __all__ = [
     "ERROR",
     "LISTED",
     "LOAD",
+    "LOSSES",
+    "NOT_DECIDED",
+    "NOT_LOCATED",
     "PRESSURE",
     "SLOTS",
     "VOLUME",

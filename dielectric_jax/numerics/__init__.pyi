@@ -1,5 +1,15 @@
 from .cache import cache_folder, enable_compilation_cache, enabled_folder, is_own, make_folder
-from .codes import Code, SceneError, StoreError, WorkersLost, check_between, check_positive, check_whole, shown
+from .codes import (
+    Code,
+    SceneError,
+    StoreError,
+    WorkersLost,
+    check_between,
+    check_positive,
+    check_whole,
+    shown,
+    whole_range,
+)
 from .compiled import cached_jit, elementwise, of_this_package, source_digest
 from .continuation import Problem, Steps, Trace, Walk, advance, begin, shorter, stepped, trace
 from .eigen import Eigenpairs, Tridiagonal, lapack_alone, lowest_eigenpairs, number_below, tridiagonal
@@ -58,4 +68,5 @@ __all__ = [
     "threads",
     "trace",
     "tridiagonal",
+    "whole_range",
 ]

@@ -8,6 +8,7 @@ import os
 import pathlib
 import stat
 import sys
+import typing
 import warnings
 
 __all__ = ["cache_folder", "enable_compilation_cache", "enabled_folder", "is_own", "make_folder", "write_own"]
@@ -125,6 +126,13 @@ def _asked_folder(directory: str | os.PathLike | None) -> pathlib.Path | None:
     return base / "dielectric_jax"
 
 
+def setting(name: str) -> typing.Any:
+    """A setting of JAX as it is in this thread."""
+    import jax
+
+    return getattr(jax.config, name)
+
+
 def enable_compilation_cache(directory: str | os.PathLike | None = None) -> pathlib.Path | None:
     """Keeps programs, traced and compiled, in `directory` (default: dielectric_jax in the user's cache folder).
 
@@ -140,7 +148,7 @@ def enable_compilation_cache(directory: str | os.PathLike | None = None) -> path
     global _enabled
     before, path = _enabled, _usable(cache_folder(directory))
     _enabled = path
-    if path is not None and jax.config.jax_compilation_cache_dir in (None, str(before), str(path)):
+    if path is not None and setting("jax_compilation_cache_dir") in (None, str(before), str(path)):
         jax.config.update("jax_compilation_cache_dir", str(path))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)

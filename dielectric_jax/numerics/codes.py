@@ -7,10 +7,21 @@ Bad input is a `ValueError` whose one sentence names the argument, its value and
 import enum
 import math
 import numbers
+import re
 
 from .resolution import LARGEST
 
-__all__ = ["Code", "SceneError", "StoreError", "WorkersLost", "check_between", "check_positive", "check_whole", "shown"]
+__all__ = [
+    "Code",
+    "SceneError",
+    "StoreError",
+    "WorkersLost",
+    "check_between",
+    "check_positive",
+    "check_whole",
+    "shown",
+    "whole_range",
+]
 
 
 class Code(enum.IntEnum):
@@ -138,6 +149,20 @@ def check_whole(name: str, value, least: int, most: int, *, where: str = "") -> 
     if not (whole and least <= int(value) <= most):
         place = f" in [{where}]" if where else ""
         raise ValueError(f"`{name}`{place} must be a whole number from {least} to {most}, but is {shown(value)}.")
+
+
+def whole_range(name: str, text: str) -> tuple[int, ...]:
+    """The whole numbers of a text such as "5", or "0:12" with both ends; raises `ValueError` by the name otherwise.
+
+    >>> whole_range("modes", "2:4")
+    (2, 3, 4)
+    """
+    ends = text.split(":")
+    if len(ends) > 2 or not all(re.fullmatch(r"[0-9]{1,3}", end) for end in ends) or int(ends[0]) > int(ends[-1]):
+        raise ValueError(
+            f"`{name}` must be a whole number or a range such as 0:12, of at most three digits, but is {shown(text)}."
+        )
+    return tuple(range(int(ends[0]), int(ends[-1]) + 1))
 
 
 def shown(value) -> str:

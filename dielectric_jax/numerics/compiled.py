@@ -24,7 +24,7 @@ import jax.export
 import numpy as np
 from jax.experimental import serialize_executable
 
-from .cache import enabled_folder, is_own, make_folder, write_own
+from .cache import enabled_folder, is_own, make_folder, setting, write_own
 from .lanes import run_lanes
 from .resolution import FUSION_EMITTERS, LANES, MOST_LIVE, MOST_SHELVED, VECTOR_WIDTH
 
@@ -137,7 +137,7 @@ class Programs:
 
     def _pack(self, key, program) -> None:
         # what JAX's own cache holds is read from there, and what came from there cannot be packed: its code is missing
-        if key in self._shelf or _setting("jax_compilation_cache_dir") or _read_from_cache:
+        if key in self._shelf or setting("jax_compilation_cache_dir") or _read_from_cache:
             return
         with contextlib.suppress(Exception):  # some backends cannot
             content, *trees = serialize_executable.serialize(program)
@@ -152,11 +152,6 @@ class Programs:
             return None
         content, *trees = packed
         return serialize_executable.deserialize_and_load(zlib.decompress(content), *trees)
-
-
-def _setting(name: str) -> typing.Any:
-    """A setting of JAX as it is in this thread."""
-    return getattr(jax.config, name)
 
 
 def _size(program) -> int:
@@ -191,7 +186,7 @@ def cached_jit(function: Callable, *, fusion_emitters: bool = FUSION_EMITTERS) -
         folder = enabled_folder()
         arrays = [leaf if hasattr(leaf, "dtype") else np.asarray(leaf) for leaf in leaves]
         shapes = tuple((leaf.shape, leaf.dtype) for leaf in arrays)
-        key = function, folder, _setting("jax_default_device"), tree, shapes
+        key = function, folder, setting("jax_default_device"), tree, shapes
 
         def make():
             own = folder / "programs" if folder is not None and of_this_package(args) else None

@@ -45,6 +45,7 @@ class Job:
     tolerance: float = 1e-9
     family: tuple[float, float] | None = None
     cache: str | None = None
+    modes: tuple[int, ...] = ()
 
 
 def make_ready(job: Job) -> None:
@@ -127,7 +128,7 @@ class _Block:
     def __init__(self, job: Job, columns: dict[str, np.ndarray]):
         self.job, self.columns = job, columns
         self.count = len(next(iter(columns.values())))
-        self.answer = unanswered(self.count, job_variables(job.engine, job.curves))
+        self.answer = unanswered(self.count, job_variables(job.engine, job.curves, bool(job.modes)))
         self.groups: list[tuple[np.ndarray, Scene]] = []
         self.of_engine = {name: columns[name] for name in parameters_of(job.engine) or () if name in columns}
         for which, values in _groups([n for n in columns if n not in self.of_engine], columns, self.count):
@@ -187,7 +188,10 @@ class _Block:
     def by_diagrams(self, which: np.ndarray) -> None:
         def compute(own):
             try:
-                return answer_of_diagram(voltage_volume(self.scenes(own)[0], tolerance=self.job.tolerance))
+                diagram = voltage_volume(
+                    self.scenes(own)[0], tolerance=self.job.tolerance, modes=self.job.modes or None
+                )
+                return answer_of_diagram(diagram, bool(self.job.modes))
             except SceneError as error:
                 return {"outcome": np.int8(Answer.no_answer), "code": np.int8(error.code)}
 
@@ -216,6 +220,8 @@ def compute_block(job: Job, columns: dict[str, np.ndarray]) -> dict[str, np.ndar
         block.by_engine(job.engine, valid)
     elif job.engine == "surface":
         block.by_surface()
+    elif job.modes:
+        block.by_diagrams(valid)
     else:
         block.by_continuation(valid)
     if job.resolve:

@@ -39,17 +39,19 @@ class Engine(typing.Protocol):
         ...
 
 
-def check_engine(engine: typing.Any, resolve: bool, curves: bool) -> None:
+def check_engine(engine: typing.Any, resolve: bool, curves: bool, modes: bool) -> None:
     """Raises ValueError for what is no engine, or for options that an engine of one's own does not take."""
     if isinstance(engine, str) and engine not in ("surface", "continuation"):
         raise ValueError(f"`engine` must be 'surface' or 'continuation', but is {engine!r}.")
+    if modes and engine == "surface":
+        raise ValueError("`engine` must be 'continuation' with `modes`, which no surface knows, but is 'surface'.")
     if isinstance(engine, str):
         return
     if isinstance(engine, type) or not isinstance(engine, Engine):
         raise ValueError(f"`engine` must be 'surface', 'continuation' or an engine, but is {shown(engine)}.")
-    for name, asked in (("resolve", resolve), ("curves", curves)):
+    for name, asked in (("resolve", resolve), ("curves", curves), ("modes", modes)):
         if asked:
-            raise ValueError(f"`{name}` must be False with the engine {type(engine).__name__}, but is True.")
+            raise ValueError(f"`{name}` must be left out with the engine {type(engine).__name__}.")
 
 
 def parameters_of(engine: str | Engine) -> tuple[str, ...] | None:
@@ -57,6 +59,6 @@ def parameters_of(engine: str | Engine) -> tuple[str, ...] | None:
     return None if isinstance(engine, str) else tuple(engine.parameters)
 
 
-def job_variables(engine: str | Engine, curves: bool) -> list[Variable]:
+def job_variables(engine: str | Engine, curves: bool, modes: bool) -> list[Variable]:
     """The variables of a sweep with an engine."""
-    return variables_of(curves) if isinstance(engine, str) else [Variable(*row) for row in engine.variables()]
+    return variables_of(curves, modes) if isinstance(engine, str) else [Variable(*row) for row in engine.variables()]

@@ -7,7 +7,7 @@ import typing
 import numpy as np
 
 from ..model import Scene, place_of
-from ..numerics import shown
+from ..numerics import shown, whole_range
 from .axes import Axis, axes_of, read_scenes, samples, zipped
 from .documents import (
     check_dimensionless,
@@ -23,7 +23,7 @@ from .documents import (
 
 __all__ = ["read_specification"]
 
-_OPTIONS = {"engine": str, "resolve": bool, "curves": bool, "tolerance": float, "block": int}
+_OPTIONS = {"engine": str, "resolve": bool, "curves": bool, "tolerance": float, "block": int, "modes": str}
 _TABLES = ("scene", "units", "product", "zip", "samples", "table")
 _DISTRIBUTIONS = {
     "uniform": ("from", "to"),
@@ -90,7 +90,7 @@ def read_specification(path) -> tuple[Scene, list[Axis], dict[str, typing.Any]]:
 
     [scene] gives the scene, [units] the constants in SI that it carries, if any, [product] lists of values, [zip.NAME]
     parameters that vary together, [samples.NAME] distributions, [table.NAME] a CSV file; `engine`, `resolve`, `curves`,
-    `tolerance` and `block` are placed above the tables. Raises ValueError with one sentence that says what is wrong.
+    `tolerance`, `block` and `modes` (such as "1:24") are placed above the tables. Raises ValueError with one sentence that says what is wrong.
     """
     path = pathlib.Path(path)
     document = read_toml(path)
@@ -107,6 +107,8 @@ def read_specification(path) -> tuple[Scene, list[Axis], dict[str, typing.Any]]:
             raise ValueError(f"`{name}` in {str(path)!r} must be {what}, but is {shown(value)}.")
         if kind is float:
             options[name] = number("", name, value)
+        if name == "modes":
+            options[name] = whole_range(name, str(value))
     axes = _axes(document, path.parent)
     varied = {name: float(column[0]) for axis in axes for name, column in axis.columns.items()}
     given = other_filling_left_out(table("scene", document.get("scene", {})), varied)

@@ -1,6 +1,7 @@
 """Sweeps: many scenes in one labelled dataset, in memory or in a store that stays valid if its writer is killed."""
 
 import contextlib
+import dataclasses
 import datetime
 import functools
 import hashlib
@@ -13,11 +14,13 @@ import pickle
 import platform
 import sys
 import typing
+from collections.abc import Iterable
 
 import numpy as np
 
 from ..diagram import check_request
 from ..model import Chamber, ConstantPressure, Scene, describe, other_loading, require_float64
+from ..modes import checked_numbers
 from ..numerics import StoreError, check_whole, enabled_folder, source_digest
 from ..surface import check_tolerance, fingerprint
 from .axes import Axis, Design, axes_of
@@ -44,6 +47,7 @@ def sweep(
     resolve: bool = False,
     curves: bool = False,
     tolerance: float = 1e-9,
+    modes: Iterable[int] | None = None,
     block: int | None = None,
     executor: typing.Any = None,
     progress: bool | None = None,
@@ -61,10 +65,12 @@ def sweep(
         resume: continue the store if it exists, with its own block size.
         accept_versions: continue a store that was begun by other versions.
         engine: "surface", or "continuation", which does not need a surface of each membrane; or an engine with variables of its
-            own, such as `dj.rates.InTime`, for which `resolve`, `curves` and `tolerance` have no meaning.
+            own, such as `dj.rates.InTime`, for which `resolve`, `curves`, `modes` and `tolerance` have no meaning.
         resolve: decide scenes left open by the engine with continuation and whole diagrams.
         curves: also compute the curves of voltage against volume, 256 states each (surface only).
         tolerance: largest error of the surface, or of continuation.
+        modes: circumferential numbers of modes, such as `range(1, 25)`, that end a ramp as in `voltage_volume` (continuation
+            only). Every scene then takes a whole diagram, some seconds with 24 numbers.
         block: scenes in a block; when None a sixteenth of all, from 256 to 8192 (surface) or 32 to 128 (continuation).
         executor: None, a number of worker processes, the address of a Dask scheduler, or a `concurrent.futures.Executor`.
         progress: show a progress bar; on a terminal and in a notebook when None.
@@ -84,9 +90,10 @@ def sweep(
     [0.097199007, 0.07649536]
     """
     require_float64()
-    check_engine(engine, resolve, curves)
+    check_engine(engine, resolve, curves, modes is not None)
     design = Design(scene, (*axes, *axes_of(parameters)), parameters_of(engine))
-    job = _job(design, engine, resolve, curves, tolerance)
+    numbers = () if modes is None else checked_numbers(modes, 1, "modes")
+    job = dataclasses.replace(_job(design, engine, resolve, curves, tolerance), modes=numbers)
     if block is not None:
         check_whole("block", block, 1, 2**31 - 1)
     if resume and output is None:
@@ -94,7 +101,7 @@ def sweep(
     need("xarray")
     if isinstance(executor, int) and executor is not True:
         _check_pickle(job)
-    variables = job_variables(engine, curves)
+    variables = job_variables(engine, curves, bool(numbers))
     _check_names(design, variables)
     attributes = _attributes(design, job)
     path = None if output is None else pathlib.Path(output)
@@ -251,6 +258,7 @@ def _attributes(design: Design, job: Job) -> dict[str, str]:
         "resolve": job.resolve,
         "curves": job.curves,
         "tolerance": job.tolerance,
+        **({"modes": job.modes} if job.modes else {}),
         "surfaces": "alone"
         if job.family is None
         else f"of a family for prestretch {job.family[0]!r} to {job.family[1]!r}",

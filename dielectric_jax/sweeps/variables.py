@@ -10,8 +10,21 @@ import typing
 
 import numpy as np
 
-from ..diagram import ENDS, LISTED, SLOTS, Diagram, RampArrays, Ramps, Slot, ramps_of, regime_of_diagram
-from ..model import FoldAhead, Outcome, PointKind, RampEvent, Regime, State, field_on
+from ..diagram import (
+    ENDS,
+    LISTED,
+    LOSSES,
+    NOT_DECIDED,
+    NOT_LOCATED,
+    SLOTS,
+    Diagram,
+    RampArrays,
+    Ramps,
+    Slot,
+    ramps_of,
+    regime_of_diagram,
+)
+from ..model import FoldAhead, Outcome, PointKind, Ramp, RampEvent, Regime, State, field_on
 from ..numerics import Code
 from ..surface import ROWS
 
@@ -38,6 +51,9 @@ class Answer(enum.IntEnum):
     no_answer = 6  # the scene has no answer: `code` says why
     invalid_scene = 7  # its parameters are incompatible, such as a prestretch beyond the limiting stretch
     failed = 8  # its computation raised an error
+    lost_axisymmetry = (
+        9  # the ramp ended where a mode turned unstable or hoop tension was lost, where modes are asked for
+    )
 
 
 class Source(enum.IntEnum):
@@ -85,6 +101,8 @@ _POINTS = {
     ),
     "breakdown_crossing": ("crossing_number", 3, "at which the branch through the start reaches breakdown"),
 }
+#: the point that only a sweep with modes has
+_LOSS = "axisymmetry_loss", "at which a mode turns unstable or hoop tension is lost"
 _FIELDS = {"fold": "folds", "breakdown_crossing": "breakdowns"}
 _AT_ZERO = ("start", "rest", "zero_voltage")
 _QUANTITIES = {
@@ -113,7 +131,7 @@ def flags_of(name: str) -> dict[str, typing.Any]:
     return {"long_name": _ANSWER_WORDS[name], "flag_values": values, "flag_meanings": meanings}
 
 
-def variables_of(curves: bool) -> list[Variable]:
+def variables_of(curves: bool, modes: bool = False) -> list[Variable]:
     """The variables of a sweep, codes first."""
     found = [
         Variable("outcome", {}, "int8", int(Answer.not_computed), flags_of("outcome")),
@@ -141,6 +159,12 @@ def variables_of(curves: bool) -> list[Variable]:
             if quantity != "voltage" or point not in _AT_ZERO:
                 number(f"{point}_{quantity}", dims, f"{long_name} of the state {words}", unit, f"{point}_error")
         number(f"{point}_error", dims, f"error of the state {words}", "1", description=_ERROR)
+    if modes:
+        for quantity, (long_name, unit) in _QUANTITIES.items():
+            number(f"{_LOSS[0]}_{quantity}", {}, f"{long_name} of the state {_LOSS[1]}", unit, f"{_LOSS[0]}_error")
+        number(f"{_LOSS[0]}_error", {}, f"error of the state {_LOSS[1]}", "1", description=_ERROR)
+        words = "circumferential number of the mode that turns unstable, 0 where none does"
+        found.append(Variable("mode_number", {}, "int16", 0, {"long_name": words, "units": "1"}))
     if curves:
         dims = {"curve_point": ROWS}
         for quantity, (long_name, unit) in _QUANTITIES.items():
@@ -182,7 +206,7 @@ def answers_of(ramps: Ramps, source: Source, code: typing.Any = Code.ok) -> dict
     return found
 
 
-def answer_of_diagram(diagram: Diagram) -> dict[str, np.ndarray]:
+def answer_of_diagram(diagram: Diagram, modes: bool = False) -> dict[str, np.ndarray]:
     """The variables of one scene from its whole diagram, arrays of length 1."""
     up = diagram.ramp()
     down = [e for e in diagram.events if e.direction == "down"]
@@ -214,8 +238,7 @@ def answer_of_diagram(diagram: Diagram) -> dict[str, np.ndarray]:
         states = sorted((p for p in own if p.kind == kind), key=lambda p: p.apex_stretch)
         for i, state in enumerate(states[: columns.shape[2]]):
             put(columns, i, state)
-    reason = up.area_strain_reason or ""
-    outcome = int(ENDS[reason]) if reason in ENDS else int(Answer.ended_by_window if up.events else Answer.no_answer)
+    outcome = int(_outcome(up))
     snaps = np.array([len(up["snap"])])
     law = diagram.scene.membrane.breakdown
 
@@ -235,7 +258,30 @@ def answer_of_diagram(diagram: Diagram) -> dict[str, np.ndarray]:
     found["landing_ratio"] = np.full((1, 2), np.nan)
     found["landing_ratio"][0, : len(landings)] = landings
     found["regime"] = np.array([int(regime_of_diagram(diagram))], "int8")
-    return found
+    return found | (_loss_of_axisymmetry(diagram) if modes else {})
+
+
+def _outcome(up: Ramp) -> Answer:
+    """How the ramp up of a whole diagram ends."""
+    reason = up.area_strain_reason or ""
+    if reason in ENDS:
+        return Answer(int(ENDS[reason]))
+    if reason in LOSSES.values():
+        return Answer.lost_axisymmetry
+    if reason in (NOT_DECIDED, NOT_LOCATED):
+        return Answer.unresolved
+    return Answer.ended_by_window if up.events else Answer.no_answer
+
+
+def _loss_of_axisymmetry(diagram: Diagram) -> dict[str, np.ndarray]:
+    """The variables of the state in which the ramp up loses its axisymmetry, NaN where it does not."""
+    up = diagram.ramp()
+    state = up["end"][0].state if _outcome(up) is Answer.lost_axisymmetry else None
+    numbers = [p.number for p in diagram.special_points if p.kind == PointKind.mode and state and _same(p, state)]
+    values = {name: np.nan if state is None else getattr(state, name) for name in _QUANTITIES}
+    values["error"] = np.nan if state is None else state.error_estimate
+    found = {f"{_LOSS[0]}_{name}": np.array([value], float) for name, value in values.items()}
+    return found | {"mode_number": np.array([numbers[0] if numbers else 0], "int16")}
 
 
 def _same(point: State, state: State) -> bool:

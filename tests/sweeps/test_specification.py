@@ -21,6 +21,15 @@ def test_the_example_means_what_it_says():
     assert float(scene.loading.atmospheric_pressure) == 50 and float(scene.membrane.material.stretch_limit) == 270
 
 
+def test_modes_are_a_range_as_on_the_command_line(tmp_path):
+    spec = tmp_path / "spec.toml"
+    spec.write_text('engine = "continuation"\nmodes = "2:4"\n[scene]\npressure = 1.0\n[product]\nprestretch = [1, 2]\n')
+    assert dj.sweeps.read_specification(spec)[2] == {"engine": "continuation", "modes": (2, 3, 4)}
+    spec.write_text(spec.read_text().replace("2:4", "4:2"))
+    with pytest.raises(ValueError, match="`modes` must be a whole number or a range such as 0:12"):
+        dj.sweeps.read_specification(spec)
+
+
 def test_a_described_scene_comes_back():
     scene = dj.Scene(
         dj.Membrane(dj.ArrudaBoyce(60.0), 1.5, dj.ConstantBreakdown(3.0)),

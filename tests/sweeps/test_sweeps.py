@@ -1,5 +1,7 @@
 """Sweeps in memory: reference numbers, both engines, undecided scenes, and invalid scenes."""
 
+import json
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -112,6 +114,29 @@ def test_a_diagram_is_told_like_a_ramp(swept):
                 # the position of a fold is known to the square root of the error of its load
                 bound = 3e-5 if name.startswith(("fold", "snap")) and "voltage" not in name else 1e-8
                 assert (np.abs(values[0][known] - expected[name].values[known]) < bound * size).all(), name
+
+
+def test_modes_end_ramps_where_they_are_asked_for():
+    """Of a large chamber mode 10 turns unstable first, of 20 L hoop tension is lost at 5.091 kV, of 30 nothing is lost."""
+    film = dj.Membrane(breakdown=dj.VHBBreakdown(3.0))
+    scene = dj.Scene(film, dj.Chamber(volume=25000.0, initial_volume=2.42))
+    volumes = [30.0, 1755.8299039780522, 25000.0]
+    data = dj.sweep(scene, chamber_volume=volumes, engine="continuation", modes=[10], progress=False)
+    assert [dj.Regime(int(r)).name for r in data.regime] == ["no_landing", "wrinkles", "bulges"]
+    assert [Answer(int(o)).name for o in data.outcome] == ["no_landing", "lost_axisymmetry", "lost_axisymmetry"]
+    assert data.mode_number.values.tolist() == [0, 0, 10]
+    voltage = data.axisymmetry_loss_voltage.values
+    assert np.isnan(voltage[0]) and abs(dj.Units().read(voltage[1], "voltage") - 5.091) < 5e-4
+    assert abs(voltage[2] - 0.116448455) < 1e-9  # by finite elements, `data/modes.json`
+    assert dj.regime_of(scene.replace(chamber_volume=volumes[1]), modes=[10]) == dj.Regime.wrinkles
+    assert json.loads(data.attrs["specification"])["modes"] == [10]
+
+
+def test_modes_are_asked_of_continuation_only():
+    with pytest.raises(ValueError, match="`engine` must be 'continuation' with `modes`"):
+        dj.sweep(SCENE, chamber_volume=[800.0], modes=[2])
+    with pytest.raises(ValueError, match="`modes` must be whole numbers from 1"):
+        dj.sweep(SCENE, chamber_volume=[800.0], engine="continuation", modes=[0])
 
 
 def test_a_scene_that_cannot_be_leaves_the_others_alone():
