@@ -190,7 +190,7 @@ def _run_modes(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], An
 def _run_sweep(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
     from ..sweeps import read_specification
 
-    scene, axes, options = read_specification(args.specification)
+    scene, axes, options = read_specification(args.specification, {"in_time": dj.rates.InTime})
     options |= {"output": args.output, "resume": args.resume, "accept_versions": args.accept_versions}
     executor = args.scheduler if args.workers is None else args.workers
     begin = time.perf_counter()

@@ -23,6 +23,7 @@ __all__ = [
     "Triangle",
     "document_of",
     "legs_of",
+    "number_of",
     "phases_of",
 ]
 
@@ -59,7 +60,8 @@ class Leg(typing.NamedTuple):
         return float(self.course(time))
 
 
-def _number(name: str, value, low=-math.inf, high=math.inf) -> float:
+def number_of(name: str, value, low=-math.inf, high=math.inf) -> float:
+    """The value as a number; raises ValueError by its name where it is none, or outside the limits."""
     try:
         number = float(value)
     except (TypeError, ValueError):
@@ -90,10 +92,10 @@ class Ramp(AbstractProtocol):
     """
 
     def __init__(self, rate: float, start: float = 0.0, stop: float | None = None):
-        self.rate, self.start = _number("rate", rate), _number("start", start)
+        self.rate, self.start = number_of("rate", rate), number_of("start", start)
         if self.rate == 0:
             raise ValueError("`rate` must not be zero (that is a Hold), but is 0.0.")
-        self.stop = None if stop is None else _number("stop", stop)
+        self.stop = None if stop is None else number_of("stop", stop)
         if self.stop is not None and not (self.stop - self.start) * self.rate > 0:
             raise ValueError(f"`stop` must lie ahead of the start {self.start!r}, but is {self.stop!r}.")
 
@@ -115,7 +117,7 @@ class Steps(AbstractProtocol):
     """
 
     def __init__(self, steps: Sequence[tuple[float, float]]):
-        self.steps = [(_number("value", v), _number("duration", d, 0.0)) for v, d in steps]
+        self.steps = [(number_of("value", v), number_of("duration", d, 0.0)) for v, d in steps]
         if not self.steps:
             raise ValueError("`steps` must hold at least one pair (value, duration), but is empty.")
 
@@ -141,8 +143,8 @@ class Hold(AbstractProtocol):
     """
 
     def __init__(self, value: float, duration: float | None = None):
-        self.value = _number("value", value)
-        self.duration = math.inf if duration is None else _number("duration", duration, 0.0)
+        self.value = number_of("value", value)
+        self.duration = math.inf if duration is None else number_of("duration", duration, 0.0)
 
     def legs(self):
         """One leg."""
@@ -161,8 +163,8 @@ class Triangle(AbstractProtocol):
     """
 
     def __init__(self, start: float, turn: float, stop: float, *, rate: float):
-        self.corners = tuple(_number(n, v) for n, v in (("start", start), ("turn", turn), ("stop", stop)))
-        self.rate = _number("rate", rate, 0.0)
+        self.corners = tuple(number_of(n, v) for n, v in (("start", start), ("turn", turn), ("stop", stop)))
+        self.rate = number_of("rate", rate, 0.0)
         if self.corners[0] == self.corners[1] or self.corners[1] == self.corners[2] or self.rate == 0:
             raise ValueError(f"`turn` must differ from start and stop, at a positive `rate`, but is {turn!r}.")
 

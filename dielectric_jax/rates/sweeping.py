@@ -8,10 +8,10 @@ import typing
 import numpy as np
 
 from ..model import Scene
-from ..numerics import check_between
+from ..numerics import check_between, check_positive, shown
 from .following import follow
 from .phases import filling_of
-from .protocols import Hold, Ramp
+from .protocols import Hold, Ramp, number_of
 from .runs import Run, RunEvent, estimate_errors
 
 __all__ = ["InTime", "RunOutcome", "TimeRegime", "regime_in_time"]
@@ -134,11 +134,20 @@ class InTime:
         check_between("tolerance", self.tolerance, 1e-10, 1e-2)
         if self.rate is not None and self.held_voltage is not None:
             raise ValueError("`rate` or `held_voltage` must be given, at most one of the two, but both are.")
+        for name in ("rate", "held_voltage", "duration"):
+            if getattr(self, name) is not None:
+                check_positive(name, number_of(name, getattr(self, name)), zero=name == "held_voltage")
+        if self.start not in ("relaxed", "fresh"):
+            raise ValueError(f"`start` must be 'relaxed' or 'fresh', but is {shown(self.start)}.")
+        if not isinstance(self.check, bool):
+            raise ValueError(f"`check` must be True or False, but is {shown(self.check)}.")
 
-    def check_axes(self, scene: Scene, names: set[str]) -> None:
+    def check_axes(self, scene: Scene, columns: dict[str, np.ndarray]) -> None:
         """Raises ValueError unless exactly one of `rate` and `held_voltage` is given, here or as an axis, and the scene has a filling."""
         filling_of(scene.loading)
-        given = [n for n in self.parameters if n in names or getattr(self, n) is not None]
+        for name in set(self.parameters) & set(columns):
+            check_positive(name, float(np.min(columns[name])), zero=name == "held_voltage")
+        given = [n for n in self.parameters if n in columns or getattr(self, n) is not None]
         if len(given) != 1:
             raise ValueError(
                 f"`rate` or `held_voltage` must be given, one of the two, but {'both are' if given else 'none is'}."

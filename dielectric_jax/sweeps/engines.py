@@ -22,8 +22,8 @@ class Engine(typing.Protocol):
     parameters: tuple[str, ...]
     block: int  # scenes in a block
 
-    def check_axes(self, scene: Scene, names: set[str]) -> None:
-        """Raises ValueError, with one sentence, for a scene or for names of axes that it cannot sweep."""
+    def check_axes(self, scene: Scene, columns: dict[str, np.ndarray]) -> None:
+        """Raises ValueError, with one sentence, for a scene, or for axes or their values, that it cannot sweep."""
         ...
 
     def variables(self) -> list[tuple]:
@@ -39,18 +39,18 @@ class Engine(typing.Protocol):
         ...
 
 
-def check_engine(engine: typing.Any, resolve: bool, curves: bool, modes: bool) -> None:
-    """Raises ValueError for what is no engine, or for options that an engine of one's own does not take."""
+def check_engine(engine: typing.Any, **options: typing.Any) -> None:
+    """Raises ValueError for what is no engine, or for options given that an engine of one's own does not take."""
     if isinstance(engine, str) and engine not in ("surface", "continuation"):
         raise ValueError(f"`engine` must be 'surface' or 'continuation', but is {engine!r}.")
-    if modes and engine == "surface":
+    if options.get("modes") is not None and isinstance(engine, str) and engine == "surface":
         raise ValueError("`engine` must be 'continuation' with `modes`, which no surface knows, but is 'surface'.")
     if isinstance(engine, str):
         return
     if isinstance(engine, type) or not isinstance(engine, Engine):
         raise ValueError(f"`engine` must be 'surface', 'continuation' or an engine, but is {shown(engine)}.")
-    for name, asked in (("resolve", resolve), ("curves", curves), ("modes", modes)):
-        if asked:
+    for name, given in options.items():
+        if given is not None and given is not False:
             raise ValueError(f"`{name}` must be left out with the engine {type(engine).__name__}.")
 
 

@@ -3,6 +3,7 @@
 import dataclasses
 import pathlib
 import typing
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -85,18 +86,35 @@ def _axes(document: dict, folder: pathlib.Path) -> list[Axis]:
     return axes
 
 
-def read_specification(path) -> tuple[Scene, list[Axis], dict[str, typing.Any]]:
+def _own_engine(document: dict, engines: Mapping[str, type]) -> tuple[typing.Any, tuple[str, ...]]:
+    """The engine whose table the document holds, None without one, and the names of axes that only it knows."""
+    named = [name for name in engines if name in document]
+    if not named:
+        return None, ()
+    for name in (*named[1:], *(n for n in _OPTIONS if n != "block" and n in document)):
+        raise ValueError(f"`{name}` must be left out beside [{named[0]}].")
+    kind, given = engines[named[0]], table(named[0], document[named[0]])
+    refuse(named[0], given, [field.name for field in dataclasses.fields(kind)])
+    return kind(**given), tuple(kind.parameters)
+
+
+def read_specification(
+    path, engines: Mapping[str, type] | None = None
+) -> tuple[Scene, list[Axis], dict[str, typing.Any]]:
     """The scene, the axes and the options (keyword arguments of `sweep`) in a TOML file.
 
     [scene] gives the scene, [units] the constants in SI that it carries, if any, [product] lists of values, [zip.NAME]
     parameters that vary together, [samples.NAME] distributions, [table.NAME] a CSV file; `engine`, `resolve`, `curves`,
-    `tolerance`, `block` and `modes` (such as "1:24") are placed above the tables. Raises ValueError with one sentence that says what is wrong.
+    `tolerance`, `block` and `modes` (such as "1:24") are placed above the tables. A table of the name of one of
+    the `engines`, dataclasses such as `{"in_time": dj.rates.InTime}`, holds the fields of that engine. Raises ValueError with one
+    sentence that says what is wrong.
     """
     path = pathlib.Path(path)
     document = read_toml(path)
+    engines = engines or {}
     for name in document:
-        if name not in (*_OPTIONS, *_TABLES):
-            allowed = ", ".join((*_OPTIONS, *(f"[{t}]" for t in _TABLES)))
+        if name not in (*_OPTIONS, *_TABLES, *engines):
+            allowed = ", ".join((*_OPTIONS, *(f"[{t}]" for t in (*_TABLES, *engines))))
             raise ValueError(f"`{name}` in {str(path)!r} must be one of {allowed}, but is none of them.")
     options = {name: document[name] for name in _OPTIONS if name in document}
     for name, value in options.items():
@@ -110,13 +128,17 @@ def read_specification(path) -> tuple[Scene, list[Axis], dict[str, typing.Any]]:
         if name == "modes":
             options[name] = whole_range(name, str(value))
     axes = _axes(document, path.parent)
-    varied = {name: float(column[0]) for axis in axes for name, column in axis.columns.items()}
+    engine, of_engine = _own_engine(document, engines)
+    if engine is not None:
+        options["engine"] = engine
+    columns = {n: column for axis in axes for n, column in axis.columns.items() if n not in of_engine}
+    # constants of branches stay as their own tables give them
+    varied = {n: float(column[0]) for n, column in columns.items() if "branches" not in place_of(n)}
     given = other_filling_left_out(table("scene", document.get("scene", {})), varied)
     constants = dict(table("units", document.get("units", {})))
     of_units = [n for n in varied if place_of(n)[0] == "units"]
     if of_units and not constants:
         raise ValueError(f"`{of_units[0]}` must have a [units] table of the scene's own constants, but there is none.")
-    columns = {name: column for axis in axes for name, column in axis.columns.items()}
     scene = scene_of(given | {n: v for n, v in varied.items() if n not in of_units}, constants)
     check_dimensionless(given | columns, constants)
     scaled = [n for n in varied if place_of(n)[0] == "loading" and _changes_with(n, of_units, scene)]

@@ -46,7 +46,7 @@ def sweep(
     engine: str | Engine = "surface",
     resolve: bool = False,
     curves: bool = False,
-    tolerance: float = 1e-9,
+    tolerance: float | None = None,
     modes: Iterable[int] | None = None,
     block: int | None = None,
     executor: typing.Any = None,
@@ -65,10 +65,10 @@ def sweep(
         resume: continue the store if it exists, with its own block size.
         accept_versions: continue a store that was begun by other versions.
         engine: "surface", or "continuation", which does not need a surface of each membrane; or an engine with variables of its
-            own, such as `dj.rates.InTime`, for which `resolve`, `curves`, `modes` and `tolerance` have no meaning.
+            own, such as `dj.rates.InTime`, which does not take `resolve`, `curves`, `modes` and `tolerance`.
         resolve: decide scenes left open by the engine with continuation and whole diagrams.
         curves: also compute the curves of voltage against volume, 256 states each (surface only).
-        tolerance: largest error of the surface, or of continuation.
+        tolerance: largest error of the surface, or of continuation; 1e-9 when None.
         modes: circumferential numbers of modes, such as `range(1, 25)`, that end a ramp as in `voltage_volume` (continuation
             only). Every scene then takes a whole diagram, some seconds with 24 numbers.
         block: scenes in a block; when None a sixteenth of all, from 256 to 8192 (surface) or 32 to 128 (continuation).
@@ -90,10 +90,11 @@ def sweep(
     [0.097199007, 0.07649536]
     """
     require_float64()
-    check_engine(engine, resolve, curves, modes is not None)
+    check_engine(engine, resolve=resolve, curves=curves, modes=modes, tolerance=tolerance)
     design = Design(scene, (*axes, *axes_of(parameters)), parameters_of(engine))
     numbers = () if modes is None else checked_numbers(modes, 1, "modes")
-    job = dataclasses.replace(_job(design, engine, resolve, curves, tolerance), modes=numbers)
+    job = _job(design, engine, resolve, curves, 1e-9 if tolerance is None else tolerance)
+    job = dataclasses.replace(job, modes=numbers)
     if block is not None:
         check_whole("block", block, 1, 2**31 - 1)
     if resume and output is None:
@@ -131,7 +132,7 @@ def _job(design: Design, engine: str | Engine, resolve: bool, curves: bool, tole
     folder = enabled_folder()
     cache = None if folder is None else str(folder)
     if not isinstance(engine, str):
-        engine.check_axes(design.scene, {name for axis in design.axes for name in axis.columns})
+        engine.check_axes(design.scene, {n: column for axis in design.axes for n, column in axis.columns.items()})
         return Job(design.scene, engine, cache=cache)
     if engine == "surface":
         check_tolerance(tolerance, "surface")

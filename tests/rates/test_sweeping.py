@@ -5,11 +5,26 @@ import pytest
 
 import dielectric_jax as dj
 from dielectric_jax import rates
+from dielectric_jax.apps.cli import main
 from dielectric_jax.rates import InTime, RunOutcome, TimeRegime
 
 RUBBER = dj.Viscoelastic(dj.Gent(270.0), [dj.Maxwell(dj.Gent(270.0), modulus_ratio=1.0, relaxation_time=1.0)])
 SCENE = dj.Scene(dj.Membrane(RUBBER), dj.Chamber(volume=1600.0, initial_volume=2.42))
 FAST = InTime(check=False)
+SPECIFICATION = """
+[scene]
+material = "viscoelastic"
+chamber_volume = 1600.0
+initial_volume = 2.42
+[[scene.branches]]
+modulus_ratio = 1.0
+relaxation_time = 1.0
+[in_time]
+check = false
+[product]
+rate = [1e-5, 0.01, 0.1]
+relaxation_time = [1.0, 10.0]
+"""
 
 
 def test_rates_and_relaxation_times(tmp_path):
@@ -27,7 +42,9 @@ def test_rates_and_relaxation_times(tmp_path):
     assert float(known.landing_volume) == pytest.approx(run.snap.landing.volume, rel=1e-6)
     assert int(known.outcome) == RunOutcome.breakdown_in_snap and run.reason == "breakdown in the snap"
     assert dj.sweeps.count_sweep(data)["regime"]["creeps_through"] == 2
-    stored = dj.sweep(SCENE, output=tmp_path / "s.zarr", **options)
+    (tmp_path / "spec.toml").write_text(SPECIFICATION)
+    assert main(["sweep", str(tmp_path / "spec.toml"), "--output", str(tmp_path / "s.zarr"), "--json", "-"]) == 0
+    stored = dj.sweeps.open_sweep(tmp_path / "s.zarr")
     assert stored.snap_voltage.values.tobytes() == of_both.tobytes()
 
 
@@ -49,14 +66,33 @@ def test_bad_input():
         ("`engine` must be 'surface', 'continuation' or an engine", {"engine": InTime, "rate": [1.0]}),
         ("`rate` or `held_voltage` must be given, one of the two, but none", {"engine": FAST, "stretch_limit": [90.0]}),
         ("one of the two, but both", {"engine": InTime(rate=1.0), "held_voltage": [1.0]}),
-        ("`resolve` must be False with the engine InTime", {"engine": FAST, "rate": [1.0], "resolve": True}),
+        ("`resolve` must be left out with the engine InTime", {"engine": FAST, "rate": [1.0], "resolve": True}),
+        ("`tolerance` must be left out with the engine", {"engine": FAST, "rate": [1.0], "tolerance": 1e-6}),
+        ("`rate` must be positive", {"engine": FAST, "rate": [1.0, 0.0]}),
+        ("`held_voltage` must be zero or positive", {"engine": FAST, "held_voltage": [-0.1]}),
         ("`wrong` must be one of", {"engine": FAST, "rate": [1.0], "wrong": [1.0]}),
         ("`relaxation_time` must not vary here", {"relaxation_time": [1.0]}),
     ):
         with pytest.raises(ValueError, match=words):
             dj.sweep(SCENE, **options)
-    with pytest.raises(ValueError, match="`tolerance` must"):
-        InTime(rate=1.0, tolerance=1.0)
+    for wrong in ({"tolerance": 1.0}, {"start": "warm"}, {"duration": 0.0}, {"check": "no"}, {"held_voltage": "high"}):
+        with pytest.raises(ValueError, match=f"`{next(iter(wrong))}` must"):
+            InTime(**wrong)
+
+
+def test_files_are_refused(tmp_path):
+    for line, words in (
+        ('engine = "surface"', "`engine` must be left out beside \\[in_time\\]"),
+        ("curves = true", "`curves` must be left out beside"),
+        ("", "`speed` in \\[in_time\\] must be one of rate, held_voltage, duration"),
+    ):
+        text = line + SPECIFICATION if line else SPECIFICATION.replace("check = false", "speed = 1")
+        (tmp_path / "spec.toml").write_text(text)
+        with pytest.raises(ValueError, match=words):
+            dj.sweeps.read_specification(tmp_path / "spec.toml", {"in_time": InTime})
+    (tmp_path / "spec.toml").write_text(SPECIFICATION)
+    with pytest.raises(ValueError, match=r"`in_time` in .* must be one of"):  # without its engine
+        dj.sweeps.read_specification(tmp_path / "spec.toml")
 
 
 def test_scenes_without_an_answer_have_the_numbers_of_other_sweeps():
