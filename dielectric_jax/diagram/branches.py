@@ -7,6 +7,7 @@ Hermite interpolant of every event function is searched for a hidden pair of roo
 """
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -304,6 +305,7 @@ class Solved:
     tolerance: float
     certify: bool = True
     numbers: tuple[int, ...] = ()  # the circumferential numbers of modes that are looked at
+    undecided: Sequence[Located] = ()  # points of the mesh at which a mode's sign is not known
 
     @property
     def control(self) -> int:

@@ -228,9 +228,10 @@ def _solve(solver, limits, kinds, points, tolerance, certify: bool, extend: bool
     located, missed = special_points(solver, curves, kinds, tolerance, certify=certify)
     solved = Solved(solver, curves, located, missed, tolerance, certify, modes)
     if modes:
-        more, lost = neutral_points(solved, modes)
-        located = sorted(located + more, key=lambda p: (p.branch, p.position))
-        solved = dataclasses.replace(solved, located=located, missed=missed + lost)
+        neutral = neutral_points(solved, modes)
+        located = sorted(located + neutral.found, key=lambda p: (p.branch, p.position))
+        missed = missed + neutral.missed
+        solved = dataclasses.replace(solved, located=located, missed=missed, undecided=neutral.undecided)
     return solved, complete
 
 

@@ -41,11 +41,13 @@ class Stop(typing.NamedTuple):
     """What a branch comes to as the control rises or falls: the `kind` of the point, the point, and the side of the branch on which it lies.
 
     The kind is that of a fold of the control, breakdown, zero voltage, or a loss of axisymmetry; None where the branch leaves the window.
+    `undecided` where the sign of a mode's eigenvalue is not known.
     """
 
     kind: PointKind | None
     at: typing.Any
     side: float
+    undecided: bool = False
 
 
 class Step(typing.NamedTuple):
@@ -84,6 +86,8 @@ def follow(branches: Branches, here, rising: bool, most: int = MOST_JUMPS) -> li
     jump = RampEvent.snap if rising else RampEvent.snap_back
     for _ in range(most):
         stop = branches.next_stop(here, rising)
+        if stop.undecided:
+            return [*steps, Step(RampEvent.end, stop.at, NOT_DECIDED)]
         if stop.kind is None:
             return [*steps, Step(RampEvent.end, stop, "window")]
         if stop.kind == PointKind.breakdown:
@@ -128,7 +132,7 @@ class _OfDiagram:
         slope = here.point.control_slope(solved.control)[0]
         side = 1.0 if (slope > 0) == rising else -1.0
         near = 1e-9 * (1 + abs(here.position))
-        on_branch = [p for p in solved.located if p.branch == here.branch]
+        on_branch = [p for p in (*solved.located, *solved.undecided) if p.branch == here.branch]
         ahead = [p for p in on_branch if (p.position - here.position) * side > near]
         ahead.sort(key=lambda p: (p.position - here.position) * side)
         if curve.start.name == "closed":
@@ -138,7 +142,7 @@ class _OfDiagram:
         stops += tuple(LOSSES) if solved.numbers else ()
         for p in ahead:
             if p.kind in stops and p is not here:
-                return Stop(p.kind, p, side)
+                return Stop(p.kind, p, side, undecided=any(p is other for other in solved.undecided))
         return Stop(None, here, side)
 
     def landing(self, fold: Stop):

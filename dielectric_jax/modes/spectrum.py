@@ -22,7 +22,7 @@ from ..model import (
     mechanical,
     plain,
 )
-from ..numerics import cached_jit, lapack_alone, lowest_eigenpairs, number_below, run_lanes, tridiagonal
+from ..numerics import cached_jit, lapack_alone, lowest_eigenpairs, number_below, run_lanes, shown, tridiagonal
 from .basis import Tables, apex_sample, coordinate, functions, gauss, tables
 from .resolution import (
     COUNTS,
@@ -196,9 +196,8 @@ def checked_numbers(numbers: Iterable[int], least: int, name: str = "numbers") -
     given = tuple(numbers)
     wrong = [n for n in given if not (isinstance(n, (int, np.integer)) and least <= n <= LARGEST_NUMBER)]
     if wrong or not given:
-        raise ValueError(
-            f"`{name}` must be whole numbers from {least} to {LARGEST_NUMBER}, at least one, but are {wrong or given!r}."
-        )
+        what = f"one is {shown(wrong[0])}" if wrong else "none is given"
+        raise ValueError(f"`{name}` must be whole numbers from {least} to {LARGEST_NUMBER}, but {what}.")
     return tuple(map(int, given))
 
 
@@ -316,8 +315,8 @@ def lowest_eigenvalue(material, u: jax.Array, number: int) -> jax.Array:
     return jnp.linalg.eigh(matrix)[0][0]
 
 
-def lowest_of_numbers(membrane: Membrane, u: np.ndarray, numbers: Sequence[int]) -> np.ndarray:
-    """The lowest eigenvalue of each number n ≥ 1, (states, numbers), at equilibria u (3, states), for its sign; NaN where it is not decided.
+def lowest_of_numbers(membrane: Membrane, u: np.ndarray, numbers: Sequence[int]) -> np.ma.MaskedArray:
+    """The lowest eigenvalue of each number n ≥ 1, (states, numbers), at equilibria u (3, states), masked where its sign is not decided.
 
     Near the cone to which an apex sharpens no basis resolves the modes.
     """
@@ -327,7 +326,7 @@ def lowest_of_numbers(membrane: Membrane, u: np.ndarray, numbers: Sequence[int])
         np.array([v[:, 0] for v in rows])
         for rows in zip(*((level.values, level.error) for level in levels), strict=True)
     )
-    return np.where(error <= SIGN_SHARE * np.abs(values), values, np.nan)
+    return np.ma.MaskedArray(values, mask=~(error <= SIGN_SHARE * np.abs(values)))
 
 
 def _judged(membrane: Membrane, state: State, numbers: np.ndarray, level: _Level) -> ModeSpectrum:

@@ -8,6 +8,7 @@ import pytest
 
 import dielectric_jax as dj
 from dielectric_jax.diagram import mode_points
+from dielectric_jax.modes import lowest_of_numbers
 
 REFERENCE = json.loads((pathlib.Path(__file__).parents[1] / "data" / "modes.json").read_text(encoding="utf-8"))
 LOADINGS = {
@@ -69,15 +70,34 @@ def test_a_ramp_ends_where_the_membrane_loses_its_axisymmetry():
     assert modes and min(p.voltage for p in modes) > ramp.events[-1].state.voltage
 
 
-def test_an_undecided_mode_is_not_taken_for_a_stable_one(membrane, monkeypatch):
-    monkeypatch.setattr(
-        mode_points, "lowest_of_numbers", lambda film, u, numbers: np.full((u.shape[1], len(numbers)), np.nan)
-    )
+def hidden(where, monkeypatch):
+    """The signs of eigenvalues are not known `where(apex stretch, values)` holds."""
+
+    def lowest(film, u, numbers):
+        values = lowest_of_numbers(film, u, numbers)
+        return np.ma.MaskedArray(values.data, mask=where(u[0][:, None], values.data))
+
+    monkeypatch.setattr(mode_points, "lowest_of_numbers", lowest)
+
+
+@pytest.mark.parametrize("from_stretch", [1.0, 6.0])
+def test_an_undecided_mode_is_not_taken_for_a_stable_one(from_stretch, membrane, monkeypatch):
+    """Neither in the start nor on the way to breakdown, at a stretch of 10.2."""
     scene = dj.Scene(membrane, dj.Chamber(volume=1600.0, initial_volume=2.42))
+    whole = dj.voltage_volume(scene)
+    hidden(lambda apex, values: (apex > from_stretch) & (values < np.inf), monkeypatch)
     diagram = dj.voltage_volume(scene, modes=[2])
-    assert [e.event for e in diagram.events if e.direction == "up"] == ["start", "end"]
-    assert diagram.area_strain_reason == "modes not decided"
+    up = [e for e in diagram.events if e.direction == "up"]
+    assert up[-1].event == "end" and up[-1].reason == diagram.area_strain_reason == "modes not decided"
+    assert from_stretch < up[-1].state.apex_stretch < whole.ramp()["breakdown"][0].state.apex_stretch
     assert dj.regime_of(scene, modes=[2]) == dj.Regime.not_decided
+
+
+def test_a_mode_that_turns_where_its_sign_is_not_known_is_found(membrane, monkeypatch):
+    scene = dj.Scene(membrane, dj.Chamber(volume=25000.0, initial_volume=2.42))
+    exact = dj.neutral_modes(scene, [10])
+    hidden(lambda apex, values: np.abs(values) < 0.3, monkeypatch)
+    assert [p.to_json() for p in dj.neutral_modes(scene, [10])] == [p.to_json() for p in exact] != []
 
 
 def test_breakdown_comes_before_any_mode_in_the_article_s_chamber(membrane):
