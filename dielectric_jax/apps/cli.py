@@ -397,6 +397,10 @@ def _answer(args: argparse.Namespace) -> None:
         document, draw = _COMMANDS[args.command](dj, args)
     except (ValueError, ImportError, StoreError) as error:
         raise BadInput(option_names(str(error), args)) from error
+    units = getattr(args, "units", None)
+    doubt = dj.model.doubt_of_vhb(dj.VHBBreakdown(), units) if units is not None and args.breakdown == "vhb" else None
+    if doubt:
+        print(f"{PROGRAM}: {doubt}".replace("`breakdown`", "--breakdown"), file=sys.stderr)
     _write(document, draw, args)
 
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from ..model import PARAMETERS
+from ..model import LARGEST_FIELD, PARAMETERS
 from ..numerics import LARGEST, shown, whole_range
 
 __all__ = [
@@ -99,7 +99,7 @@ _count = _whole(1, 10_000)
 def _breakdown(text: str) -> str | float:
     if text == "vhb":
         return text
-    return _number(lambda v: v > 0, "vhb or a positive field in units of √(μ/ε)")(text)
+    return _number(lambda v: v > 0, "vhb or a positive field, in units of √(μ/ε), with --si in V/m")(text)
 
 
 _ASCII = str.maketrans({"₀": "0", "₁": "1", "₂": "2", "ᵢ": "", "μ": "M", "α": "A", "λ": "L", "_": ""})
@@ -349,6 +349,9 @@ def _check(args: argparse.Namespace) -> None:
     for name in UNIT_CONSTANTS:
         if getattr(args, name) is not None and not args.si:
             raise BadInput(f"{_option(name)} must be given with --si only.")
+    if args.breakdown != "vhb" and (args.breakdown < LARGEST_FIELD) == args.si:
+        unit = "V/m with --si, at least" if args.si else "units of √(μ/ε) without --si, at most"
+        raise BadInput(f"--breakdown must be in {unit} {LARGEST_FIELD:g}, but is {args.breakdown:g}.")
     for name in ("stretch_window", "load_window"):
         window = getattr(args, name)
         if window is not None and not window[0] < window[1]:

@@ -43,8 +43,8 @@ from .points import Points, Shooting, compile_ahead, corrected_points
 from .profiles import energy, profile, scaling_defect
 from .programs import jacobian_program, value_program
 from .records import Branch, Event, Ramp, SpecialPoint, State, events_table, plain, points_table, voltage_of
-from .resolution import CHUNK, GRIDS, LEAST_ESTIMATE, LOAD_PANELS, MOST_STEPS, SCALE, SCANNED_LOAD
-from .scene import Scene, Window, describe, pair
+from .resolution import CHUNK, GRIDS, LARGEST_FIELD, LEAST_ESTIMATE, LOAD_PANELS, MOST_STEPS, SCALE, SCANNED_LOAD
+from .scene import Scene, Window, describe, doubt_of_vhb, pair
 from .scene_batch import LANES, Corrected, SceneBatch, calls, difficulty, load_fraction, locking_stretch, padded, pick
 from .shooting import UNKNOWNS, eighth_order_step, integrate_membrane, rim_with_sensitivities, shoot
 from .shooting_method import ShootingMethod, shooting_of
@@ -58,6 +58,7 @@ __all__ = [
     "FLOW",
     "GRIDS",
     "LANES",
+    "LARGEST_FIELD",
     "LEAST_ESTIMATE",
     "LOAD_PANELS",
     "MOST_STEPS",
@@ -132,6 +133,7 @@ __all__ = [
     "corrected_points",
     "describe",
     "difficulty",
+    "doubt_of_vhb",
     "eighth_order_step",
     "energy",
     "energy_on",

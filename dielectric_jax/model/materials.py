@@ -410,7 +410,7 @@ class VHBBreakdown(AbstractBreakdown):
 
 
 class ConstantBreakdown(AbstractBreakdown):
-    """A breakdown field that does not depend on the stretch, in units of √(μ/ε)."""
+    """A breakdown field that does not depend on the stretch, in units of √(μ/ε); in V/m for `Scene.from_si`."""
 
     constant_field: Scalar = eqx.field(converter=as_scalar)
     scale: Scalar = eqx.field(default=1.0, converter=as_scalar)

@@ -159,3 +159,12 @@ EQUILIBRIUM = 1e-5
 MOST_BRANCHES = 8
 # steps of a homogeneous film between events; at a tolerance of 1e-12 a creep to its pull-in takes about a thousand
 MOST_FILM_STEPS = 16384
+
+# --- films in SI ---
+
+# a breakdown field is above this number of V/m (films fail at 1e7 to 1e9), and below it in units of √(μ/ε) (0.1 to 100)
+LARGEST_FIELD = 1e4
+# small-strain moduli [Pa] of films that may be VHB: a factor of four around the article's two fits of 45 and 68 kPa
+VHB_MODULI = (10e3, 250e3)
+# and their relative permittivities: a third around the article's 4.7
+VHB_PERMITTIVITIES = (3.0, 6.2)

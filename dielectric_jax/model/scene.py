@@ -5,6 +5,7 @@ The scene decides what is integrated: which derivatives the loading's condition 
 
 import dataclasses
 import typing
+import warnings
 
 import equinox as eqx
 import jax
@@ -37,11 +38,11 @@ from .materials import (
 )
 from .membrane import Membrane
 from .parameters import PARAMETERS, parameter_of, place_of
-from .resolution import SCANNED_LOAD
+from .resolution import LARGEST_FIELD, SCANNED_LOAD, VHB_MODULI, VHB_PERMITTIVITIES
 from .units import Units, is_concrete
 from .viscoelastic import Maxwell, Viscoelastic, spring_and_branches
 
-__all__ = ["Scene", "Window", "describe", "pair"]
+__all__ = ["Scene", "Window", "describe", "doubt_of_vhb", "pair"]
 
 
 def constants_of(material) -> list[str]:
@@ -135,7 +136,8 @@ class Scene(eqx.Module):
     ) -> "Scene":
         """The scene of a loading whose numbers are in SI (Pa, m³, …), with `units` (default `Units()`) carried along.
 
-        A `VHBBreakdown` of the membrane gets the units' μ and ε. The membrane's own numbers are dimensionless as ever.
+        A `VHBBreakdown` of the membrane gets the units' μ and ε, with a warning where they are not those of VHB; the field of a
+        `ConstantBreakdown` is in V/m. The membrane's other numbers are dimensionless as ever.
 
         >>> chamber = Chamber(volume=18.225e-3, initial_volume=27.565e-6, atmospheric_pressure=100e3)
         >>> scene = Scene.from_si(Membrane(), chamber)
@@ -146,8 +148,10 @@ class Scene(eqx.Module):
         (1600.0, 100.0)
         """
         units = Units() if units is None else units
-        law = _law_in(membrane.breakdown, units)
-        changed = _rebuild(membrane, (), {"breakdown": law})
+        doubt = doubt_of_vhb(membrane.breakdown, units)
+        if doubt:
+            warnings.warn(doubt, UserWarning, stacklevel=2)
+        changed = _rebuild(membrane, (), {"breakdown": _law_from_si(membrane.breakdown, units)})
         return cls(changed, units.from_si(loading), Window() if window is None else window, units)
 
     def replace(self, **parameters) -> "Scene":
@@ -287,6 +291,33 @@ def _fields(module) -> set:
     return set(module.__dataclass_fields__)
 
 
+def doubt_of_vhb(law, units: Units) -> str | None:
+    """A sentence where the unscaled law of VHB 4910 serves a film that is hardly VHB, by its modulus or permittivity."""
+    if not isinstance(law, VHBBreakdown) or (is_concrete(law.scale) and law.scale != 1):
+        return None
+    for value, (low, high), words in (
+        (units.shear_modulus, VHB_MODULI, "shear modulus of {:.4g} Pa"),
+        (units.relative_permittivity, VHB_PERMITTIVITIES, "relative permittivity of {:.3g}"),
+    ):
+        if is_concrete(value) and not low <= value <= high:
+            return (
+                f"`breakdown` is the law of VHB 4910, which a film with a {words.format(float(value))} is hardly made of; "
+                "give the film's own field."
+            )
+    return None
+
+
+def _law_from_si(law, units: Units):
+    """A breakdown law that measures its field in these units, of a law with its field in V/m where that is constant."""
+    if not isinstance(law, ConstantBreakdown):
+        return _law_in(law, units)
+    if is_concrete(law.constant_field) and law.constant_field < LARGEST_FIELD:
+        raise ValueError(
+            f"`constant_field` must be in V/m for a scene in SI, at least {LARGEST_FIELD:g}, but is {float(law.constant_field):g}."
+        )
+    return units.reduce(law)
+
+
 def _law_in(law, units: Units):
     """A breakdown law that measures its field in these units."""
     if not isinstance(law, VHBBreakdown):
@@ -295,6 +326,11 @@ def _law_in(law, units: Units):
 
 
 def _check_law(law, units: Units) -> None:
+    if isinstance(law, ConstantBreakdown) and is_concrete(law.constant_field) and law.constant_field > LARGEST_FIELD:
+        raise ValueError(
+            f"`constant_field` must be in units of √(μ/ε), at most {LARGEST_FIELD:g}, but is {float(law.constant_field):g}; "
+            "Scene.from_si takes it in V/m."
+        )
     if not isinstance(law, VHBBreakdown):
         return
     pairs = {

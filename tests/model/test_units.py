@@ -89,6 +89,34 @@ def test_a_scene_from_si():
     assert dj.model.describe(held)["thickness"] == 2e-3
 
 
+SILICONE = dj.Units(shear_modulus=0.3e6, thickness=0.2e-3, radius=12.5e-3, permittivity=2.8 * 8.854e-12)
+AIR = dj.Chamber(volume=0.5e-3, initial_volume=8e-6, atmospheric_pressure=100e3)
+
+
+def test_a_constant_field_is_in_volts_a_metre():
+    """80 MV/m over √(μ/ε) = 110 MV/m, whichever way it is given; by its size nobody takes one for the other."""
+    made = dj.Scene.from_si(dj.Membrane(dj.Gent(60.0), 1.2, dj.ConstantBreakdown(80e6)), AIR, SILICONE)
+    field = 80e6 / math.sqrt(0.3e6 / (2.8 * 8.854e-12))
+    assert float(made.membrane.breakdown.constant_field) == pytest.approx(field, rel=1e-12)
+    assert made.units.to_si(field, "field") == pytest.approx(80e6, rel=1e-12)
+    with pytest.raises(ValueError, match=r"`constant_field` must be in V/m for a scene in SI, .* but is 6\.6"):
+        dj.Scene.from_si(dj.Membrane(breakdown=dj.ConstantBreakdown(6.6)), AIR)
+    with pytest.raises(ValueError, match=r"must be in units of √\(μ/ε\), .* but is 8e\+07; Scene.from_si"):
+        dj.Scene(dj.Membrane(breakdown=dj.ConstantBreakdown(80e6)), dj.ConstantPressure(1.0), units=dj.Units())
+
+
+def test_the_law_of_vhb_is_doubted_for_other_films():
+    with pytest.warns(UserWarning, match="law of VHB 4910, which a film with a shear modulus of 3e\\+05 Pa is hardly"):
+        dj.Scene.from_si(dj.Membrane(), AIR, SILICONE)
+    with pytest.warns(UserWarning, match="relative permittivity of 12"):
+        dj.Scene.from_si(dj.Membrane(), AIR, dj.Units(permittivity=12 * 8.854e-12))
+    for law in (dj.VHBBreakdown(scale=0.5), dj.ConstantBreakdown(80e6)):  # these were chosen
+        dj.Scene.from_si(dj.Membrane(breakdown=law), AIR, SILICONE)
+    for fit in ("inflation", "tension"):
+        film, units = dj.model.vhb_4910(fit)
+        dj.Scene.from_si(film, AIR, units)
+
+
 def test_other_constants_keep_the_apparatus():
     """Quantities in SI and the breakdown field in MV/m stay fixed; derivatives follow (p_atm A/(μH) falls as 1/H)."""
     before = scene()
@@ -228,6 +256,28 @@ def test_the_command_line_asks_for_si(capsys):
     assert capsys.readouterr().err == "dielectric-jax: --radius must be given with --si only.\n"
     assert main(["equilibrium", "--si", "--volume", "1"]) == 2
     assert "These numbers are dimensionless" in capsys.readouterr().err
+
+
+def test_a_breakdown_field_in_si(capsys):
+    film = [
+        "--stretch-limit",
+        "60",
+        "--prestretch",
+        "1.2",
+        "--shear-modulus",
+        "0.3e6",
+        "--relative-permittivity",
+        "2.8",
+    ]
+    asked = ["equilibrium", "--si", *film, "--voltage", "1e3", "--volume", "8e-6"]
+    document = answer(capsys, *asked, "--breakdown", "80e6")
+    assert document["scene"]["breakdown"] == pytest.approx(80e6, rel=1e-12)
+    assert main([*asked, "--breakdown", "3"]) == 2
+    assert "--breakdown must be in V/m with --si, at least 10000, but is 3." in capsys.readouterr().err
+    assert main(["equilibrium", "--volume", "2.42", "--breakdown", "80e6"]) == 2
+    assert "in units of √(μ/ε) without --si, at most 10000, but is 8e+07." in capsys.readouterr().err
+    assert main(asked) == 0
+    assert "--breakdown is the law of VHB 4910, which a film with a shear modulus" in capsys.readouterr().err
 
 
 def test_a_chamber_in_si(capsys):
