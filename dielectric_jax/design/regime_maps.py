@@ -12,7 +12,7 @@ import numpy as np
 import scipy.ndimage
 
 from ..diagram import Ramps
-from ..model import Change, Outcome, Regime, Scene, change_of, describe, plain
+from ..model import Change, Outcome, Regime, Scene, change_of, describe, plain, refuse_si
 from ..numerics import LARGEST, check_whole, shown
 from ..surface import Surface, SurfaceFamily
 from .boundaries import LANDING_LOST, completed, guesses, has_event, kind_between, located, with_landing
@@ -190,6 +190,8 @@ def check_range(name: str, limits, scene: Scene | None = None) -> tuple[float, f
         raise ValueError(
             f"`{name}` must range over two finite numbers (low, high) with low < high, but is {shown(limits)}."
         )
+    if scene is not None and scene.units is not None:
+        refuse_si({name: (low, high)}, scene.units)
     return low, high
 
 

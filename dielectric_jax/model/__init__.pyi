@@ -49,7 +49,7 @@ from .scene_batch import LANES, Corrected, SceneBatch, calls, difficulty, load_f
 from .shooting import UNKNOWNS, eighth_order_step, integrate_membrane, rim_with_sensitivities, shoot
 from .shooting_method import ShootingMethod, shooting_of
 from .stability import Stability, least_along, stability_of
-from .units import VACUUM_PERMITTIVITY, VHB_4910, Units
+from .units import VACUUM_PERMITTIVITY, VHB_4910, Units, refuse_si
 from .viscoelastic import FLOW, Maxwell, Unrelaxed, Viscoelastic, spring_and_branches
 
 __all__ = [
@@ -162,6 +162,7 @@ __all__ = [
     "plain",
     "points_table",
     "profile",
+    "refuse_si",
     "regimes_of",
     "require_float64",
     "rim_with_sensitivities",

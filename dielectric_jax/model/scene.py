@@ -39,7 +39,7 @@ from .materials import (
 from .membrane import Membrane
 from .parameters import PARAMETERS, parameter_of, place_of
 from .resolution import LARGEST_FIELD, SCANNED_LOAD, VHB_MODULI, VHB_PERMITTIVITIES
-from .units import Units, is_concrete
+from .units import Units, is_concrete, refuse_si
 from .viscoelastic import Maxwell, Viscoelastic, spring_and_branches
 
 __all__ = ["Scene", "Window", "describe", "doubt_of_vhb", "pair"]
@@ -159,11 +159,13 @@ class Scene(eqx.Module):
 
         Parameters of the units are in SI, and what they change is the film: the loading and a constant breakdown field stay
         what they are in SI, so that their dimensionless numbers change. All others are dimensionless, in the new units where
-        both are given: the order of the parameters does not matter. An entry of a list is `moduli[0]`; `modulus_ratio` and
+        both are given: the order of the parameters does not matter. What looks like SI is refused. An entry of a list is `moduli[0]`; `modulus_ratio` and
         `relaxation_time` are one number for each branch of a viscoelastic film, `branches[0].stretch_limit` a constant of a
         branch's spring, and `stretch_limit` that of the equilibrium spring.
         """
         scene = self
+        if self.units is not None:
+            refuse_si(parameters, self.units)
         named = [pair for name, value in parameters.items() for pair in self._by_branches(name, value)]
         for name, value in sorted(named, key=lambda item: place_of(item[0])[0] != "units"):
             path = scene.path_of(name)

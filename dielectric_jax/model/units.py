@@ -19,7 +19,7 @@ import numpy as np
 from ..numerics import LARGEST, check_positive
 from .parameters import PARAMETERS
 
-__all__ = ["VACUUM_PERMITTIVITY", "VHB_4910", "Scalar", "Units", "as_scalar", "is_concrete"]
+__all__ = ["VACUUM_PERMITTIVITY", "VHB_4910", "Scalar", "Units", "as_scalar", "is_concrete", "refuse_si"]
 
 Scalar: typing.TypeAlias = typing.Any  # a number, or the array or tracer that stands for one
 VACUUM_PERMITTIVITY = 8.854e-12  # F/m, with the digits of the paper
@@ -65,6 +65,15 @@ _READ = {
     "field": ("MV/m", 1e6),
     "stress": ("kPa", 1e3),
     "energy": ("mJ", 1e-3),
+}
+# the usual ranges of the dimensionless numbers of chambers and films
+_USUAL = {
+    "chamber_volume": (0.1, 1e7),
+    "initial_volume": (1e-3, 1e4),
+    "initial_pressure": (1e-3, 100.0),
+    "pressure": (1e-3, 100.0),
+    "atmospheric_pressure": (1e-2, 5e3),
+    "breakdown": (1e-2, 1e4),
 }
 # the constants of the units themselves, in SI wherever they stand
 _CONSTANTS = {row.name: row.kind for row in PARAMETERS.values() if row.path[0] == "units"}
@@ -211,6 +220,33 @@ class Units(eqx.Module):
         if isinstance(what, (int, float, np.ndarray, jax.Array)):
             raise ValueError("`name` must be given with a number, such as 'voltage' or 'pressure', but is not.")
         return _converted(what, factor)
+
+
+def refuse_si(given: Mapping[str, typing.Any], units: Units, *, least: int = 1) -> None:
+    """Raises ValueError if `least` of the named dimensionless numbers, or lists of them, look like SI.
+
+    A number does if it is far outside its usual range and would be inside if it were in SI.
+
+    >>> refuse_si({"chamber_volume": 0.018}, Units())
+    Traceback (most recent call last):
+    ValueError: `chamber_volume` must be dimensionless, but 0.018 looks like SI: 0.018 m³ would be 1580.25; `Units.from_si` converts it.
+    """
+    found = []
+    for name, (low, high) in _USUAL.items():
+        value = given.get(name)
+        if value is None or isinstance(value, str) or not (is_concrete(value) and is_concrete(units.scale(name))):
+            continue
+        size, scale = np.atleast_1d(np.asarray(value, float)), float(units.scale(name))
+        with np.errstate(all="ignore"):
+            usual, usual_in_si = ((v >= low) & (v <= high) for v in (size, size / scale))
+        if size.size and (usual_in_si & ~usual).all():
+            found.append((name, float(size[0]), float(size[0]) / scale))
+    if len(found) >= least:
+        name, value, would_be = found[0]
+        raise ValueError(
+            f"`{name}` must be dimensionless, but {value:g} looks like SI: {value:g} {Units.names()[name]} would be "
+            f"{would_be:.6g}; `Units.from_si` converts it."
+        )
 
 
 def _read(name: str) -> tuple[str, float]:

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..model import PARAMETERS, Scene, parameter_of, place_of
+from ..model import PARAMETERS, Scene, parameter_of, place_of, refuse_si
 from ..numerics import LARGEST, check_whole, shown
 from .resolution import MOST_VALUES
 
@@ -178,6 +178,8 @@ class Design:
             seen |= {axis.dimension, *axis.columns}
         if {"initial_volume", "initial_pressure"} <= seen:
             raise ValueError("`initial_volume` and `initial_pressure` must not both vary: each sets the filling.")
+        if self.scene.units is not None:
+            refuse_si({n: column for axis in self.axes for n, column in axis.columns.items()}, self.scene.units)
         for name in (name for axis in self.axes for name in axis.columns):
             if self.of_engine is None:
                 self.scene.check_varies(name)

@@ -26,6 +26,7 @@ from ..model import (
     Window,
     parameter_of,
     place_of,
+    refuse_si,
 )
 from ..numerics import LARGEST, check_whole, shown
 from .resolution import MOST_VALUES
@@ -48,15 +49,6 @@ _MATERIALS = {
     "arruda-boyce": ArrudaBoyce,
     "mooney-rivlin": MooneyRivlin,
     "ogden": Ogden,
-}
-#: the usual ranges of the dimensionless numbers of chambers and films
-_USUAL = {
-    "chamber_volume": (0.1, 1e7),
-    "initial_volume": (1e-3, 1e4),
-    "initial_pressure": (1e-3, 100.0),
-    "pressure": (1e-3, 100.0),
-    "atmospheric_pressure": (1e-2, 5e3),
-    "breakdown": (1e-2, 1e4),
 }
 _PLACES = ("loading", "membrane", "breakdown", "material")
 
@@ -191,6 +183,8 @@ def scene_of(given: dict[str, typing.Any], constants: dict[str, typing.Any] | No
     constants = {} if constants is None else constants
     refuse("units", constants, [n for n, row in PARAMETERS.items() if row.path[0] == "units"])
     units = Units(**{n: number("units", n, v) for n, v in constants.items()}) if constants else None
+    if field and units is not None:
+        refuse_si({"breakdown": field[0]}, units)
     if not field and units is not None:
         parts["breakdown"] |= {n: getattr(units, n) for n in ("shear_modulus", "relative_permittivity")}
     law = (ConstantBreakdown if field else VHBBreakdown)(*field, **parts["breakdown"])
@@ -221,26 +215,11 @@ def other_filling_left_out(given: dict[str, typing.Any], varied: typing.Iterable
 def check_dimensionless(given: dict[str, typing.Any], constants: dict[str, typing.Any]) -> None:
     """Refuses numbers of a scene, or lists of them, that look like SI: the documents are dimensionless.
 
-    A number looks like SI if it is far outside the usual range and would be inside if it were in SI. With `constants` of
-    units, which suggest SI, one such number is enough; without them two are needed, judged by the membrane of the paper.
+    With `constants` of units, which suggest SI, one such number is enough; without them two are needed, judged by the membrane
+    of the paper.
     """
     units = Units(**{n: number("units", n, v) for n, v in constants.items()})
-    found = []
-    for name, (low, high) in _USUAL.items():
-        value = given.get(name)
-        if value is None or isinstance(value, str):
-            continue
-        size, scale = np.atleast_1d(np.asarray(value, float)), float(units.scale(name))
-        with np.errstate(all="ignore"):
-            usual, usual_in_si = ((v >= low) & (v <= high) for v in (size, size / scale))
-        if size.size and (usual_in_si & ~usual).all():
-            found.append((name, float(size[0]), float(size[0]) / scale))
-    if len(found) > (0 if constants else 1):
-        name, value, would_be = found[0]
-        raise ValueError(
-            f"`{name}` must be dimensionless, with or without [units], but {value:g} looks like SI: {value:g} "
-            f"{Units.names()[name]} would be {would_be:.6g}; divide numbers in SI by their units, as Units.from_si does."
-        )
+    refuse_si(given, units, least=1 if constants else 2)
 
 
 def values(where: str, name: str, given: typing.Any) -> np.ndarray:

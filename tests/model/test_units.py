@@ -105,6 +105,24 @@ def test_a_constant_field_is_in_volts_a_metre():
         dj.Scene(dj.Membrane(breakdown=dj.ConstantBreakdown(80e6)), dj.ConstantPressure(1.0), units=dj.Units())
 
 
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda made: made.replace(chamber_volume=18e-3),
+        lambda made: dj.sweep(made, chamber_volume=[10e-3, 18e-3], progress=False),
+        lambda made: dj.sweep(made, chamber_volume=[18e-3], engine="continuation", progress=False),
+        lambda made: dj.classify_designs(made, {"atmospheric_pressure": [90e3, 100e3]}),
+        lambda made: dj.regime_map(made, {"chamber_volume": (5e-3, 20e-3), "initial_volume": (1.0, 2.0)}),
+        lambda made: dj.maximise_area_strain(made, over={"chamber_volume": (5e-3, 20e-3)}),
+        lambda made: dj.fold_curves(made, "initial_volume", (5e-6, 20e-6)),
+        lambda made: dj.design.regime_edges(made, {"chamber_volume": (5e-3, 20e-3)}),
+    ],
+)
+def test_a_number_that_looks_like_si_is_refused_everywhere(ask):
+    with pytest.raises(ValueError, match=r"must be dimensionless, but .* looks like SI"):
+        ask(scene())
+
+
 def test_the_law_of_vhb_is_doubted_for_other_films():
     with pytest.warns(UserWarning, match="law of VHB 4910, which a film with a shear modulus of 3e\\+05 Pa is hardly"):
         dj.Scene.from_si(dj.Membrane(), AIR, SILICONE)
