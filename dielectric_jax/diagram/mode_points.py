@@ -41,7 +41,7 @@ class NeutralPoints(typing.NamedTuple):
     """The points of all branches at which the lowest mode of a number is neutral.
 
     `missed` are those that were not located: (test function, branch, interval, target), as of `locate`; `undecided` are points
-    of the mesh at which the sign of an eigenvalue is not known, and is not known to change once between its neighbours.
+    of the mesh beside these, or at which the sign of an eigenvalue is not known, nor that it changes once between its neighbours.
     """
 
     found: list[Located]
@@ -54,13 +54,11 @@ def neutral_points(solved: Solved, numbers: Sequence[int]) -> NeutralPoints:
     membrane = solved.solver.membrane
     changes = [_changes(membrane, curve, numbers) for curve in solved.curves]
     asked = [(test, branch, interval, 0.0) for branch, (turns, _) in enumerate(changes) for test, interval in turns]
-    undecided = [
-        _located(branch, curve, i)
-        for branch, (curve, (_, places)) in enumerate(zip(solved.curves, changes, strict=True))
-        for i in places
-    ]
     found, missed = locate(solved.solver, solved.curves, asked, solved.tolerance) if asked else ([], [])
     kept = [w for w in asked if w not in missed]
+    unknown = [(branch, i) for branch, (_, places) in enumerate(changes) for i in places]
+    unknown += [(branch, interval) for _, branch, interval, _ in missed]
+    undecided = [_located(branch, solved.curves[branch], i) for branch, i in unknown]
     points = [
         dataclasses.replace(point, kind=PointKind.mode, number=test.number)
         for point, (test, *_) in zip(found, kept, strict=True)

@@ -159,9 +159,9 @@ class Scene(eqx.Module):
 
         Parameters of the units are in SI, and what they change is the film: the loading and a constant breakdown field stay
         what they are in SI, so that their dimensionless numbers change. All others are dimensionless, in the new units where
-        both are given: the order of the parameters does not matter. What looks like SI is refused. An entry of a list is `moduli[0]`; `modulus_ratio` and
-        `relaxation_time` are one number for each branch of a viscoelastic film, `branches[0].stretch_limit` a constant of a
-        branch's spring, and `stretch_limit` that of the equilibrium spring.
+        both are given: the order of the parameters does not matter. What looks like SI is refused. An entry of a list is
+        `moduli[0]`; `modulus_ratio` and `relaxation_time` are one number for each branch of a viscoelastic film,
+        `branches[0].stretch_limit` a constant of a branch's spring, and `stretch_limit` that of the equilibrium spring.
         """
         scene = self
         if self.units is not None:

@@ -8,7 +8,7 @@ import typing
 import numpy as np
 
 from ..model import Scene
-from ..numerics import check_between, check_positive, shown
+from ..numerics import check_positive, shown
 from .following import follow
 from .phases import filling_of
 from .protocols import Hold, Ramp, number_of
@@ -131,7 +131,7 @@ class InTime:
     block: typing.ClassVar[int] = 64
 
     def __post_init__(self):
-        check_between("tolerance", self.tolerance, 1e-10, 1e-2)
+        number_of("tolerance", self.tolerance, 1e-10, 1e-2)
         if self.rate is not None and self.held_voltage is not None:
             raise ValueError("`rate` or `held_voltage` must be given, at most one of the two, but both are.")
         for name in ("rate", "held_voltage", "duration"):

@@ -51,9 +51,7 @@ class Answer(enum.IntEnum):
     no_answer = 6  # the scene has no answer: `code` says why
     invalid_scene = 7  # its parameters are incompatible, such as a prestretch beyond the limiting stretch
     failed = 8  # its computation raised an error
-    lost_axisymmetry = (
-        9  # the ramp ended where a mode turned unstable or hoop tension was lost, where modes are asked for
-    )
+    lost_axisymmetry = 9  # a mode turned unstable, or hoop tension was lost; with `modes` only
 
 
 class Source(enum.IntEnum):

@@ -115,3 +115,13 @@ def test_bad_input_is_refused(membrane):
         dj.neutral_modes(membrane)
     with pytest.raises(ValueError, match="`modes` must be whole numbers from 1"):
         dj.voltage_volume(dj.Scene(membrane, dj.ConstantPressure(1.0)), modes=[1.5])
+
+
+def test_a_neutral_point_that_is_not_located_ends_the_ramp(monkeypatch):
+    """Of a large chamber mode 10 turns unstable at 0.116448; where it is seen and not located the ramp does not go on."""
+    membrane = dj.Membrane(breakdown=dj.VHBBreakdown(3.0))
+    scene = dj.Scene(membrane, dj.Chamber(volume=25000.0, initial_volume=2.42))
+    monkeypatch.setattr(mode_points, "locate", lambda solver, curves, asked, tolerance: ([], asked))
+    ramp = dj.voltage_volume(scene, modes=[10]).ramp()
+    assert ramp.area_strain_reason == "modes not decided"
+    assert 0.113 < ramp.events[-1].state.voltage < 0.116448  # at the last point of the mesh before it

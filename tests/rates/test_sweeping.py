@@ -75,7 +75,14 @@ def test_bad_input():
     ):
         with pytest.raises(ValueError, match=words):
             dj.sweep(SCENE, **options)
-    for wrong in ({"tolerance": 1.0}, {"start": "warm"}, {"duration": 0.0}, {"check": "no"}, {"held_voltage": "high"}):
+    for wrong in (
+        {"tolerance": 1.0},
+        {"start": "warm"},
+        {"duration": 0.0},
+        {"check": "no"},
+        {"held_voltage": "high"},
+        {"tolerance": "fine"},
+    ):
         with pytest.raises(ValueError, match=f"`{next(iter(wrong))}` must"):
             InTime(**wrong)
 
