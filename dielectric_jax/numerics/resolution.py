@@ -13,7 +13,7 @@ LANES = 512
 # lanes of a call on a device other than a CPU, in those of a call that fits a CPU's cache; not measured, limits the number of calls
 DEVICE_LANES = 32
 # bytes of live programs in XLA's own format, some forty times as much in memory; benchmarks/acceptance/memory.py
-MOST_LIVE = 24e6
+MOST_LIVE = 20e6
 # bytes of packed programs, some 0.3 MB each; beyond them the oldest are compiled again; benchmarks/acceptance/memory.py
 MOST_SHELVED = 100e6
 

@@ -1,5 +1,7 @@
 """The surface against reference equilibria, energy identities, new shots, and its own file."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,6 +9,7 @@ import pytest
 
 import dielectric_jax as dj
 from dielectric_jax.model.chart import explicit_map
+from dielectric_jax.surface.elements import chebyshev
 
 
 @pytest.fixture(scope="module")
@@ -175,3 +178,18 @@ def test_bad_input():
     for wrong in (-1.0, 0.0, 1e-14, float("nan")):
         with pytest.raises(ValueError, match="`tolerance`"):
             dj.Surface.build(dj.Membrane(), tolerance=wrong)
+
+
+def test_derivatives_of_the_basis_to_any_order():
+    """T_k and its derivatives are NumPy's, forward and reverse, alone and side by side."""
+    x = np.linspace(-1.0, 1.0, 7)
+    exact = [
+        np.polynomial.chebyshev.chebval(x, np.polynomial.chebyshev.chebder(np.eye(20), order)) for order in range(4)
+    ]
+    function, scale = functools.partial(chebyshev, count=20), (1.0, 19.0**2, 19.0**4, 19.0**6)
+    for order in range(4):
+        found = jax.vmap(function)(x)
+        np.testing.assert_allclose(found.T, exact[order], rtol=0, atol=1e-15 * scale[order])
+        function = jax.jacfwd(function)
+    backward = jax.vmap(jax.jacrev(functools.partial(chebyshev, count=20)))(x)
+    np.testing.assert_allclose(backward.T, exact[1], rtol=0, atol=1e-15 * scale[1])
