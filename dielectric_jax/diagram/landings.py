@@ -359,7 +359,8 @@ def _settle_by_states(
             for store, values in zip(corrected, second, strict=True):
                 store[again] = values
         limits = scene_batch.limits(np.nan_to_num(corrected.u[:, 0], nan=2.0), lanes)
-        fraction = load / limits[2]
+        with np.errstate(divide="ignore", invalid="ignore"):  # where Newton left the chart; such a state is not used
+            fraction = load / limits[2]
     for k, candidates in seeds:
         own = np.flatnonzero(snap == k)
         if not len(candidates):
