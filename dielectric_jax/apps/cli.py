@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..numerics import Code, SceneError, StoreError, WorkersLost
+from ..numerics import SceneError, StoreError, WorkersLost
 from .options import (
     CHAMBER_OPTIONS,
     MATERIAL_CONSTANTS,
@@ -99,16 +99,25 @@ def _curves(
     return curves
 
 
-def _run_equilibrium(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
+def _states(dj: Any, args: argparse.Namespace) -> tuple[Any, list[Any]]:
+    """The scene of a chamber or the membrane alone, and its states at the asked voltage, by volume."""
+    if args.chamber_volume is not None:
+        args.control = "voltage"
+        scene = _scene(dj, args)
+        return scene, dj.equilibrium(scene, voltage=args.voltage, all=True, tolerance=args.tolerance)
     membrane = _membrane(dj, args)
     names = ("pressure", "volume", "apex_stretch")
     given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
+    options = {"tolerance": args.tolerance, "window": _window(dj, args)}
+    return membrane, dj.equilibrium(membrane, voltage=args.voltage, **given, **options, all=True)
+
+
+def _run_equilibrium(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
     _say("equilibrium …")
-    answer = dj.equilibrium(
-        membrane, voltage=args.voltage, **given, all=args.all, tolerance=args.tolerance, window=_window(dj, args)
-    )
-    states = answer if args.all else [answer]
-    document = {"scene": dj.model.describe(membrane), "units": "dimensionless", "states": [s.to_json() for s in states]}
+    what, states = _states(dj, args)
+    membrane = getattr(what, "membrane", what)
+    states = states if args.all else states[:1]
+    document = {"scene": dj.model.describe(what), "units": "dimensionless", "states": [s.to_json() for s in states]}
 
     def draw() -> Any:
         from ..plot import plot_diagram
@@ -165,21 +174,9 @@ def _run_voltage_volume(dj: Any, args: argparse.Namespace) -> tuple[dict, Callab
 
 
 def _run_modes(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
-    membrane = what = _membrane(dj, args)
     _say("modes …")
-    if args.chamber_volume is not None:
-        args.control = "voltage"
-        what = _scene(dj, args)
-        states = dj.voltage_volume(what, points=args.points, tolerance=args.tolerance).states_at(args.voltage)
-        if not states:
-            raise SceneError(Code.no_equilibrium)
-        state = states[0]
-    else:
-        names = ("pressure", "volume", "apex_stretch")
-        given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
-        options = {"tolerance": args.tolerance, "window": _window(dj, args)}
-        state = dj.equilibrium(membrane, voltage=args.voltage, **given, **options)
-    found = dj.mode_spectrum(what, state, args.numbers, args.count)
+    what, states = _states(dj, args)
+    found = dj.mode_spectrum(what, states[0], args.numbers, args.count)
     units = args.units
     if units is not None and args.density is not None:
         units = dataclasses.replace(units, density=args.density)

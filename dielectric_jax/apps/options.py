@@ -169,8 +169,14 @@ def _add_filling(command: Parser) -> None:
 
 
 def _add_equilibrium(commands, common: Parser) -> None:
-    one = commands.add_parser("equilibrium", parents=[common], help="single states", description=_DESCRIPTION)
-    _add_state(one)
+    one = commands.add_parser(
+        "equilibrium",
+        parents=[common],
+        help="single states",
+        description=_DESCRIPTION + "\nWith --chamber-volume the states of a chamber at the voltage.",
+    )
+    _add_parameter(_add_state(one), "chamber_volume")
+    _add_filling(one)
     one.add_argument("--all", action="store_true", help="every state in the window, not only that of smallest volume")
 
 
@@ -356,7 +362,7 @@ def _check(args: argparse.Namespace) -> None:
         window = getattr(args, name)
         if window is not None and not window[0] < window[1]:
             raise BadInput(f"{_option(name)} must be two numbers A < B, but is {window[0]:g} {window[1]:g}.")
-    if args.command in ("voltage-volume", "modes"):
+    if args.command in ("voltage-volume", "modes", "equilibrium"):
         given = [name for name in CHAMBER_OPTIONS if getattr(args, name) is not None]
         held = ("pressure", "volume", "apex_stretch")
         other = next((name for name in held if getattr(args, name, None) is not None), "volume")
@@ -375,8 +381,8 @@ def _check(args: argparse.Namespace) -> None:
                 raise BadInput(f"--modes must be whole numbers from 1, but begins at {args.modes[0]}.")
     if args.command == "modes" and args.density is not None and not args.si:
         raise BadInput("--density must be given with --si only.")
-    if args.command == "modes" and args.points is not None and args.chamber_volume is None:
-        raise BadInput("--points must be given with --chamber-volume only for modes, because a state has no branch.")
+    if args.command == "modes" and args.points is not None:
+        raise BadInput("--points must be left out for modes, because a state has no branch.")
     if args.command == "modes" and args.figure is not None:
         raise BadInput("--figure must be left out for modes, which has no figure.")
     if args.command == "equilibrium" and args.points is not None and args.figure is None:

@@ -1,5 +1,5 @@
 from .batch import Batch, MembraneKey, condition_of, continue_scenes, stacked, starts
-from .diagrams import Diagram, pressure_volume, voltage_volume
+from .diagrams import Diagram, equilibrium, pressure_volume, voltage_volume
 from .glances import Glance, glance
 from .mesh import hermite
 from .mode_points import NOT_DECIDED
@@ -7,7 +7,7 @@ from .neutral import neutral_modes
 from .ramp import ENDS, LOSSES, NOT_LOCATED
 from .ramps import APEX, ERROR, LISTED, LOAD, PRESSURE, SLOTS, VOLUME, RampArrays, Ramps, Slot, States, ramps_of
 from .regimes import regime_of, regime_of_diagram
-from .states import check_request, equilibrium, filling
+from .states import check_request, filling
 from .surface_ramps import (
     Curves,
     chamber_curves,

@@ -4,6 +4,7 @@
 """
 
 import dataclasses
+import typing
 from collections.abc import Iterable
 
 import numpy as np
@@ -27,6 +28,7 @@ from ..model import (
     State,
     Units,
     Window,
+    as_scalar,
     control_of,
     describe,
     events_table,
@@ -38,7 +40,7 @@ from ..model import (
     shooting_of,
 )
 from ..modes import checked_numbers
-from ..numerics import Code, SceneError
+from ..numerics import Code, SceneError, check_positive
 from ..plot import plot_diagram
 from ..surface import Surface
 from .branches import Solved, find_curves, special_record
@@ -53,6 +55,7 @@ from .states import (
     check_request,
     check_surface,
     flat_state,
+    membrane_states,
     states_of,
     too_flat,
 )
@@ -60,7 +63,7 @@ from .states import filling as filling_of
 from .surface_contours import OnSurface
 from .tracing import warm_up
 
-__all__ = ["Diagram", "pressure_volume", "voltage_volume"]
+__all__ = ["Diagram", "equilibrium", "pressure_volume", "voltage_volume"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -385,3 +388,55 @@ def _flat_diagram(scene: Scene, limits, points: int, tolerance: float) -> Diagra
     return Diagram(
         "voltage-volume", scene, [branch], special, True, tolerance, limits, _up=flat_ramp(special, states[-1])
     )
+
+
+def equilibrium(
+    membrane: Membrane | Scene,
+    *,
+    voltage: float = 0.0,
+    pressure: float | None = None,
+    volume: float | None = None,
+    apex_stretch: float | None = None,
+    all: bool = False,
+    tolerance: float = 1e-9,
+    window: Window | None = None,
+    surface: Surface | None = None,
+    method: ShootingMethod | None = None,
+) -> typing.Any:
+    """The equilibrium at a voltage and one of pressure, volume or apex stretch: the one of smallest volume, stable or not.
+
+    Of a `Scene` only the voltage is given: its loading says the rest, and the index is that under this loading. Of a membrane it is
+    that of prescribed pressure. With `all=True` a list of every state in the window up to t = 0.9997, ordered by volume: beyond,
+    folds go on without end.
+    A `surface` of the membrane gives the starts inside its domain, which shooting makes exact; the explicit map the others. A
+    `method` makes them exact by a solver, step size controller and root finder of your own, see `model.ShootingMethod`.
+    Raises ValueError for bad input and SceneError where there is none.
+
+    >>> from dielectric_jax import Chamber
+    >>> state = equilibrium(Membrane(), voltage=0.0, volume=2.42)
+    >>> round(state.pressure, 9), state.index
+    (1.88661268, 0)
+    >>> chamber = Scene(Membrane(), Chamber(volume=1600.0, initial_volume=2.42))
+    >>> [(round(s.volume, 4), s.index) for s in equilibrium(chamber, voltage=0.05, all=True)]
+    [(2.5208, 0), (3.5464, 1), (15.4082, 0)]
+    """
+    given = {"pressure": pressure, "volume": volume, "apex_stretch": apex_stretch, "window": window}
+    if isinstance(membrane, Scene):
+        for name, value in given.items():
+            if value is not None:
+                raise ValueError(f"`{name}` must be left out with a Scene, which says it, but is {value!r}.")
+        states = _states_of_scene(membrane, float(as_scalar(voltage)), tolerance, surface, method)
+    else:
+        states = membrane_states(
+            membrane, voltage=voltage, tolerance=tolerance, surface=surface, method=method, **typing.cast(dict, given)
+        )
+    return states if all else states[0]
+
+
+def _states_of_scene(scene: Scene, voltage: float, tolerance: float, surface, method) -> list[State]:
+    """The states of a scene at a voltage, by volume."""
+    check_positive("voltage", voltage, zero=True)
+    states = voltage_volume(scene, tolerance=tolerance, surface=surface, method=method).states_at(voltage)
+    if not states:
+        raise SceneError(Code.no_equilibrium)
+    return states

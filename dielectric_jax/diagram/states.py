@@ -39,7 +39,7 @@ from ..numerics import Code, SceneError, check_positive, shown
 from ..surface import Surface, pressure_and_volume
 from .resolution import FLATTEST, MOST_STATE_ERROR, NEAR_EXTREME, NEAREST_CONE, WRINKLED
 
-__all__ = ["equilibrium", "filling", "flat_state", "states_of"]
+__all__ = ["filling", "flat_state", "membrane_states", "states_of"]
 
 
 def check_request(points: int, tolerance: float) -> None:
@@ -158,7 +158,7 @@ def _filled_state(
         if found.ok[0] and found.error[0] <= tolerance:
             return float(found.u[1, 0]), float(found.volume[0])
     try:  # near the peak of the pressure, or at the window's edge: the fine search
-        state = equilibrium(membrane, voltage=0.0, tolerance=tolerance, method=method, **{quantity: wanted})  # pyright: ignore[reportArgumentType]
+        state = membrane_states(membrane, voltage=0.0, tolerance=tolerance, method=method, **{quantity: wanted})[0]  # pyright: ignore[reportArgumentType]
     except (SceneError, ValueError):
         return None
     return state.pressure, state.volume
@@ -195,30 +195,19 @@ def _reach(membrane: Membrane, quantity: str) -> float:
     return float(np.nanmax(_zero_load_line(membrane)[1 if quantity == "pressure" else 2]))
 
 
-def equilibrium(
+def membrane_states(
     membrane: Membrane,
     *,
     voltage: float = 0.0,
     pressure: float | None = None,
     volume: float | None = None,
     apex_stretch: float | None = None,
-    all: bool = False,
     tolerance: float = 1e-9,
     window: Window | None = None,
     surface: Surface | None = None,
     method: ShootingMethod | None = None,
-) -> typing.Any:
-    """The equilibrium at a voltage and one of pressure, volume or apex stretch: the one of smallest volume, stable or not.
-
-    With `all=True` a list of every one in the window up to t = 0.9997, ordered by volume: beyond, folds go on without end. The index is that of prescribed pressure. A
-    `surface` of the membrane gives the starts inside its domain, which shooting makes exact; the explicit map the others.
-    A `method` makes them exact by a solver, step size controller and root finder of your own, see `model.ShootingMethod`.
-    Raises ValueError for bad input and SceneError where there is none.
-
-    >>> state = equilibrium(Membrane(), voltage=0.0, volume=2.42)
-    >>> round(state.pressure, 9), state.index
-    (1.88661268, 0)
-    """
+) -> list[State]:
+    """The equilibria of a membrane at a voltage and one of pressure, volume or apex stretch, by volume; see `equilibrium`."""
     check_request(8, tolerance)
     given = {
         n: v for n, v in (("pressure", pressure), ("volume", volume), ("apex_stretch", apex_stretch)) if v is not None
@@ -241,7 +230,7 @@ def equilibrium(
             f"{limits[0][1]:.6g}, but is {wanted!r}."
         )
     if (name == "apex_stretch" and wanted == prestretch) or wanted == 0:
-        return _flat_equilibrium(membrane, voltage, all)
+        return [_flat_equilibrium(membrane, voltage)]
     condition = scene.loading.condition()
     check_surface(surface, membrane)
     engine = shooting_of(membrane, condition, method)
@@ -258,8 +247,7 @@ def equilibrium(
             check_reachable(membrane, wanted)
         flat = too_flat(membrane, name, wanted, voltage**2)
         raise SceneError(Code.near_flat if flat else Code.beyond_tolerance if vague else Code.no_equilibrium)
-    states.sort(key=lambda s: s.volume)
-    return states if all else states[0]
+    return sorted(states, key=lambda s: s.volume)
 
 
 def _distinct_states(membrane: Membrane, results: list[Points], tolerance: float) -> tuple[list[State], bool]:
@@ -317,14 +305,13 @@ def _same(one: State, other: State) -> bool:
     return near < 1e-9 or (near < 1e-6 and one.index == other.index)
 
 
-def _flat_equilibrium(membrane: Membrane, voltage: float, every: bool):
+def _flat_equilibrium(membrane: Membrane, voltage: float) -> State:
     stretch = float(membrane.prestretch)
     if stretch == 1.0:
         raise SceneError(Code.flat_unstretched)
     if voltage**2 > float(largest_load(membrane.material, stretch)):
         raise SceneError(Code.no_equilibrium, "The flat film is slack at this voltage.")
-    state = flat_state(membrane, voltage**2)
-    return [state] if every else state
+    return flat_state(membrane, voltage**2)
 
 
 def _line_states(membrane: Membrane, apex, fraction, surface: Surface | None):

@@ -217,6 +217,16 @@ def test_equilibrium_at_a_volume(capsys):
     assert state["index"] == 0 and state["error_estimate"] <= 1e-9
 
 
+def test_equilibrium_of_a_chamber(capsys):
+    gas = ["--chamber-volume", "1600", "--initial-volume", "2.42", "--voltage", "0.0766"]
+    document = answer(capsys, "equilibrium", *gas, "--all")
+    assert document["scene"]["chamber_volume"] == 1600.0
+    (state,) = document["states"]  # it has snapped
+    assert (state["pressure"] + 50) * (state["volume"] + 1600) == pytest.approx(51.886612680245 * 1602.42, rel=1e-10)
+    assert main(["equilibrium", *gas[:2]]) == 2
+    assert "--initial-volume or --initial-pressure must be given" in capsys.readouterr().err
+
+
 def test_equilibrium_all_and_smallest(capsys):
     states = answer(capsys, "equilibrium", "--pressure", "1.82", "--all")["states"]
     assert [s["volume"] for s in states] == pytest.approx([2.01878174356, 5.0422739075, 210.518696044], rel=1e-9)

@@ -208,3 +208,24 @@ def test_float32_is_refused_with_the_line_to_add():
             dj.Membrane()
     finally:
         jax.config.update("jax_enable_x64", True)
+
+
+def test_states_of_a_chamber_at_a_voltage(membrane):
+    """Each obeys the equation of its gas; past the snap voltage the landed state is left."""
+    chamber = dj.Scene(membrane, dj.Chamber(volume=1600.0, initial_volume=2.42, atmospheric_pressure=50.0))
+    states = dj.equilibrium(chamber, voltage=0.05, all=True)
+    assert [s.index for s in states] == [0, 1, 0] and states[0] == dj.equilibrium(chamber, voltage=0.05)
+    for s in states:
+        assert (s.pressure + 50) * (s.volume + 1600) == pytest.approx((1.886612680245 + 50) * 1602.42, rel=1e-10)
+        alone = dj.equilibrium(membrane, voltage=0.05, volume=s.volume, all=True)
+        assert min(error(s.pressure, other.pressure) for other in alone) < 1e-9
+    landed = dj.equilibrium(chamber, voltage=0.0764953595449 + 1e-9, all=True)
+    assert [s.index for s in landed] == [0] and landed[0].volume == pytest.approx(19.9533292542, rel=1e-6)
+    for given, words in (
+        ({"volume": 2.0}, "`volume` must be left out with a Scene"),
+        ({"voltage": -1.0}, "`voltage` must"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            dj.equilibrium(chamber, **given)
+    with pytest.raises(dj.SceneError):
+        dj.equilibrium(chamber, voltage=5.0)
