@@ -141,6 +141,8 @@ def read_specification(
         raise ValueError(f"`{of_units[0]}` must have a [units] table of the scene's own constants, but there is none.")
     scene = scene_of(given | {n: v for n, v in varied.items() if n not in of_units}, constants)
     check_dimensionless(given | columns, constants)
+    for name in columns.keys() - varied.keys() if engine is None else ():
+        scene.check_varies(name)
     scaled = [n for n in varied if place_of(n)[0] == "loading" and _changes_with(n, of_units, scene)]
     if scaled:
         raise ValueError(
