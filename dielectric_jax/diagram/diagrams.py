@@ -305,7 +305,7 @@ def voltage_volume(
     With `modes`, circumferential numbers from 1 such as `range(1, 25)`, the points at which a mode of one of them turns
     neutral are special points too, of kind "mode" with their `number`, and the ramp ends where the membrane loses its
     axisymmetry: with the reason "bulges" where a mode turns unstable, with "wrinkles" where hoop tension is lost, and with "modes not
-    decided" where it starts or lands on a state whose modes no basis resolves. A flat film's modes are not looked at.
+    decided" where it comes to a state at which the sign of a mode's eigenvalue is not known. A flat film's modes are not looked at.
     Raises ValueError for bad input and SceneError where no tensile equilibrium lies in the window.
 
     >>> from dielectric_jax import Chamber
