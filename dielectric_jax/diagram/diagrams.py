@@ -418,7 +418,7 @@ def equilibrium(
     (1.88661268, 0)
     >>> chamber = Scene(Membrane(), Chamber(volume=1600.0, initial_volume=2.42))
     >>> [(round(s.volume, 4), s.index) for s in equilibrium(chamber, voltage=0.05, all=True)]
-    [(2.5208, 0), (3.5464, 1), (15.4082, 0)]
+    [(2.5538, 0), (4.6044, 1), (15.5632, 0)]
     """
     given = {"pressure": pressure, "volume": volume, "apex_stretch": apex_stretch, "window": window}
     if isinstance(membrane, Scene):
