@@ -31,6 +31,11 @@ def arguments(description: str, quick: str, *, seed: bool = False) -> argparse.A
     return parser
 
 
+def without_cache() -> None:
+    """Makes every program anew, for what is measured with an empty cache; to be called before the first computation."""
+    os.environ["DIELECTRIC_JAX_CACHE"] = "off"
+
+
 def say(*what) -> None:
     """A line on standard error: standard output holds the record and nothing else."""
     print(*what, file=sys.stderr, flush=True)

@@ -8,6 +8,7 @@ from .diagram import (
     neutral_modes,
     pressure_volume,
     regime_of,
+    report,
     voltage_volume,
 )
 from .model import (
@@ -35,7 +36,7 @@ from .model import (
     profile,
 )
 from .modes import mode_spectrum
-from .numerics import SceneError, enable_compilation_cache
+from .numerics import SceneError
 from .rates import Hold, Ramp, Steps, Triangle, bounds, follow
 from .surface import Surface
 from .sweeps import sweep
@@ -78,7 +79,6 @@ __all__ = [
     "critical",
     "design",
     "diagram",
-    "enable_compilation_cache",
     "equilibrium",
     "fold_curves",
     "follow",
@@ -96,6 +96,7 @@ __all__ = [
     "rates",
     "regime_map",
     "regime_of",
+    "report",
     "snap_point",
     "snap_voltage",
     "surface",

@@ -41,7 +41,7 @@ import pytest
 import dielectric_jax as dj
 
 jax.config.update("jax_enable_x64", True)
-dj.enable_compilation_cache()
+dj.numerics.enable_compilation_cache()
 
 
 def pytest_unconfigure():

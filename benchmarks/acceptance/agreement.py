@@ -23,7 +23,6 @@ from benchmarks.random_scenes import film_scenes
 from benchmarks.truth import extended_precision as truth
 
 jax.config.update("jax_enable_x64", True)
-dj.enable_compilation_cache()
 
 SCALE = np.array([1.0, 0.2, 0.02])  # distances are measured in these units of (λa, p, q)
 NODES = (280, 96)  # of the chart, along the stretch and the load

@@ -70,7 +70,6 @@ def main() -> int:
     parser = harness.arguments(__doc__, "two problems, small scans")
     parser.add_argument("--only", nargs="+", metavar="PROBLEM")
     args = parser.parse_args()
-    dj.enable_compilation_cache()
     every = problems()
     chosen = args.only or (["chamber, less filling", "chamber, margin 0.2"] if args.quick else list(every))
     record: dict = {"name": "design_problems", "machine": harness.machine(), "problems": {}}

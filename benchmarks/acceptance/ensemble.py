@@ -20,7 +20,6 @@ from benchmarks.random_scenes import film_loadings, gent_films
 from dielectric_jax.model import Outcome
 
 jax.config.update("jax_enable_x64", True)
-dj.enable_compilation_cache()
 
 ALLOWED = 1e-8
 REASONS = {

@@ -21,7 +21,6 @@ from dielectric_jax.model.loading import LoadingCondition
 from dielectric_jax.model.points import corrected_points
 
 jax.config.update("jax_enable_x64", True)
-dj.enable_compilation_cache()
 
 TOLERANCE, ALLOWED_RATIO, TOP = 1e-9, 10.0, 0.9
 # and their shares of the states

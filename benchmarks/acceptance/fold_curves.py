@@ -130,7 +130,6 @@ def main() -> int:
     parser = harness.arguments(__doc__, "few samples of two curves")
     parser.add_argument("--figures", type=pathlib.Path)
     options = parser.parse_args()
-    dj.enable_compilation_cache()
     surface = dj.Surface.build(dj.Membrane())
     known = {name: float(p.parameter) for name, p in known_numbers(options.quick).items()}
     found = curves(options.quick)

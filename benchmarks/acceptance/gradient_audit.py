@@ -150,7 +150,6 @@ def main() -> int:
     parser = harness.arguments(__doc__, "two rows, without their cost")
     parser.add_argument("--only", nargs="*", metavar="KIND")
     options = parser.parse_args()
-    dj.enable_compilation_cache()
     records = []
     document = {"name": "gradient_audit", "machine": harness.machine(), "quick": options.quick, "records": records}
     for kind, (values, _) in KINDS.items():

@@ -837,7 +837,6 @@ def main() -> int:
     parser.add_argument("--case", nargs="+", choices=[*CASES], default=[*CASES], help="only these")
     parser.add_argument("--table", metavar="FILE", help="where the rows go as Markdown")
     options = parser.parse_args()
-    dj.enable_compilation_cache()
     report, rows = harness.Progress(), []
     for number in options.case:
         for row in CASES[number][1](options.quick):

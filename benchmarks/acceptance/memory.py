@@ -175,7 +175,6 @@ def main() -> int:
     ways = {w: WAYS[w] for w in ("curve", "diagram")} if options.quick else WAYS
     if options.ways:
         ways = {w: WAYS[w] for w in options.ways}
-    dj.enable_compilation_cache()
     random = np.random.default_rng(options.seed)
     harness.say(f"seed {options.seed}, {scenes} scenes")
     compiled = harness.Compilations()

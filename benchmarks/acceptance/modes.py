@@ -22,7 +22,6 @@ from dielectric_jax.modes.resolution import SIZES
 from dielectric_jax.modes.spectrum import Asked, level_of
 
 jax.config.update("jax_enable_x64", True)
-dj.enable_compilation_cache()
 
 KINDS = "gent,neo-hookean,mooney-rivlin,ogden,eight-chain,electrostrictive"
 NUMBERS = (*range(13), 24)

@@ -26,7 +26,6 @@ import dielectric_jax as dj
 from benchmarks import harness, random_scenes
 
 jax.config.update("jax_enable_x64", True)
-dj.enable_compilation_cache()
 
 ALLOWED = 1e-6
 OPEN = "not_decided"

@@ -529,7 +529,6 @@ def main() -> int:
     options = parser.parse_args()
     if options.quick:
         vars(options).update(QUICK)
-    dj.enable_compilation_cache()
     rows: list[dict] = []
     record = {"name": "parameters", "machine": machine(), "quick": options.quick, "counts": {}, "records": rows}
     for label in options.scenes:

@@ -81,7 +81,6 @@ def main() -> int:
     kinds = ["gent"] if options.quick else options.kinds.split(",")
     count, each = (2, 2) if options.quick else (options.runs, options.each)
     protocols = PROTOCOLS[:1] if options.quick else PROTOCOLS
-    dj.enable_compilation_cache()
     random, records, members = np.random.default_rng(options.seed), [], 0
     harness.say(f"seed {options.seed}, {count} runs")
     while len(records) < count:

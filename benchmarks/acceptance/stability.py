@@ -20,7 +20,6 @@ from benchmarks.truth.ritz import ELEMENTS, Ritz
 from dielectric_jax.model.stability import judge, survey
 
 jax.config.update("jax_enable_x64", True)
-dj.enable_compilation_cache()
 
 EACH = 20  # states of a membrane
 STRATA = {"even": 0.55, "towards the cone": 0.25, "flat end": 0.1, "lock-up": 0.1}  # shares of the states

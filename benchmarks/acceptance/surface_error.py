@@ -19,7 +19,6 @@ from benchmarks.truth.extended_precision import exact
 from dielectric_jax.model.materials import largest_load
 
 jax.config.update("jax_enable_x64", True)
-dj.enable_compilation_cache()
 
 ALLOWED = 10.0  # times the bound
 LIMITS = (50.0, 270.0, 1000.0)

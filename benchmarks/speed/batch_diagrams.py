@@ -380,8 +380,8 @@ def main() -> int:
     engines = options.engines.split(",")
     if wrong := [e for e in engines if e not in ENGINES]:
         parser.error(f"--engines must be some of {', '.join(ENGINES)}, but holds {wrong[0]!r}")
-    if options.quick:
-        dj.enable_compilation_cache()
+    if not options.quick:
+        harness.without_cache()
     truth = chambers.reference()
     lanes = chambers.spread(list(truth), 4) if options.quick else list(truth)
     document = {

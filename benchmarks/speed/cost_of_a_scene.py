@@ -195,8 +195,8 @@ def _with_way_down(diagram):
 def main() -> int:
     parser = harness.arguments(__doc__, "8 states, two scenes a table")
     options = parser.parse_args()
-    if options.quick:
-        dj.enable_compilation_cache()
+    if not options.quick:
+        harness.without_cache()
     document = {"name": "cost_of_a_scene", "records": [], "machine": harness.machine()}
     for table in (integration, equilibria, diagrams):
         records = table(options.quick)

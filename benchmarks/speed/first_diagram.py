@@ -61,7 +61,7 @@ def child(repeats: int, emitters: str | None) -> None:
         compiled = harness.Compilations()
         import dielectric_jax as dj
 
-        dj.enable_compilation_cache()
+        dj.numerics.enable_compilation_cache()
 
     from benchmarks.speed import one_chamber
 

@@ -28,7 +28,6 @@ from dielectric_jax.model.shooting import UNKNOWNS, integrate_membrane
 from dielectric_jax.numerics.compiled import cached_jit
 
 jax.config.update("jax_enable_x64", True)
-dj.enable_compilation_cache()
 
 STAGES = 13  # right-hand sides of a step of Dopri8
 LANES = 256

@@ -31,7 +31,6 @@ from benchmarks.speed import one_chamber
 from benchmarks.truth import auto_peer
 
 jax.config.update("jax_enable_x64", True)
-dj.enable_compilation_cache()
 
 ALLOWED = 1e-9
 # mesh intervals, tolerance of Newton, longest step; the last draws its branch about as finely as ours

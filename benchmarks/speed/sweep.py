@@ -19,7 +19,6 @@ from benchmarks.random_scenes import filled_chambers
 from dielectric_jax.model import Outcome
 
 jax.config.update("jax_enable_x64", True)
-dj.enable_compilation_cache()
 
 LIMIT_SECONDS, LIMIT_GIGABYTES = 180.0, 2.0
 

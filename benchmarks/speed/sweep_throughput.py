@@ -124,7 +124,6 @@ def main() -> int:
     parser.add_argument("--scenes", type=int, default=32768)
     parser.add_argument("--largest", type=int, default=1_000_000)
     options = parser.parse_args()
-    dj.enable_compilation_cache()
     kinds = [("in process", 1), ("processes", 1), ("processes", 2), ("dask", 1), ("dask", 2)]
     if options.quick:
         kinds = kinds[:2]

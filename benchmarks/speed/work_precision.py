@@ -15,7 +15,6 @@ import jax
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 
-import dielectric_jax as dj
 from benchmarks import harness
 from benchmarks.speed import curves, shots
 
@@ -165,8 +164,8 @@ def main() -> int:
     parser.add_argument("--draw", action="store_true", help="draw what --records holds, measure nothing")
     parser.add_argument("--output", type=pathlib.Path, default=DOCS, help="folder of table and figures")
     options = parser.parse_args()
-    if options.quick:
-        dj.enable_compilation_cache()
+    if not options.quick:
+        harness.without_cache()
     if options.draw:
         document = json.loads(pathlib.Path(options.json).read_text())
     else:

@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..numerics import SceneError, StoreError, WorkersLost
+from ..numerics import SceneError, StoreError, WorkersLost, say
 from .options import (
     CHAMBER_OPTIONS,
     MATERIAL_CONSTANTS,
@@ -35,12 +35,6 @@ __all__ = ["main"]
 
 
 _ATMOSPHERE = 100e3  # Pa; 50 μH/A for the membrane of the paper
-
-
-def _say(text: str) -> None:
-    """Reports progress on a terminal."""
-    if sys.stderr.isatty():
-        print(text, file=sys.stderr, flush=True)
 
 
 def _membrane(dj: Any, args: argparse.Namespace) -> Any:
@@ -94,7 +88,7 @@ def _curves(
 ) -> list[Any]:
     curves, options = [], {"points": args.points, "tolerance": args.tolerance, "window": _window(dj, args)}
     for voltage in voltages:
-        _say(f"pressure–volume curve at voltage {voltage:.6g} …")
+        say(f"pressure–volume curve at voltage {voltage:.6g} …")
         curves.append(dj.pressure_volume(membrane, voltage=voltage, surface=surface, **options))
     return curves
 
@@ -113,7 +107,7 @@ def _states(dj: Any, args: argparse.Namespace) -> tuple[Any, list[Any]]:
 
 
 def _run_equilibrium(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
-    _say("equilibrium …")
+    say("equilibrium …")
     what, states = _states(dj, args)
     membrane = getattr(what, "membrane", what)
     states = states if args.all else states[:1]
@@ -153,28 +147,21 @@ def _run_voltage_volume(dj: Any, args: argparse.Namespace) -> tuple[dict, Callab
     scene = _scene(dj, args)
     surface = None
     if args.engine == "surface":
-        _say("surface of the membrane …")
+        say("surface of the membrane …")
         surface = dj.Surface.build(scene.membrane)
-    _say("voltage–volume diagram …")
-    diagram = dj.voltage_volume(scene, points=args.points, tolerance=args.tolerance, surface=surface, modes=args.modes)
+    say("voltage–volume diagram …")
+    found = dj.report(scene, points=args.points, tolerance=args.tolerance, surface=surface, modes=args.modes)
+    args.sentences = found.lines
 
     def draw() -> Any:
-        from ..plot import chamber_voltages, plot_chamber
+        say("pressure–volume curves …")
+        return found.plot(shapes=args.shapes, surface=surface, points=args.points, tolerance=args.tolerance)
 
-        curves = []
-        for voltage in chamber_voltages(diagram) if args.control == "voltage" else []:
-            try:
-                curves += _curves(dj, args, scene.membrane, [voltage], surface)
-            except SceneError:
-                # a flat film can have a voltage at which no inflated state exists: there is no curve to draw
-                continue
-        return plot_chamber(diagram, curves, units=args.units)
-
-    return diagram.to_json(), draw
+    return found.diagram.to_json(), draw
 
 
 def _run_modes(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
-    _say("modes …")
+    say("modes …")
     what, states = _states(dj, args)
     found = dj.mode_spectrum(what, states[0], args.numbers, args.count)
     units = args.units
@@ -200,7 +187,7 @@ def _run_sweep(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], An
     seconds = time.perf_counter() - begin
     if args.export is not None:
         dj.sweeps.export_sweep(data, args.export)
-        _say(f"wrote {args.export}")
+        say(f"wrote {args.export}")
     return dj.sweeps.count_sweep(data) | {"seconds": seconds, "store": args.output}, lambda: None
 
 
@@ -208,7 +195,7 @@ def _run_regimes(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], 
     from .design_files import read_design_file
 
     scene, over, options = read_design_file(args.specification, "regimes")
-    _say("regimes …")
+    say("regimes …")
     found = dj.regime_map(scene, over, **options)
     return found.to_json(), lambda: found.plot().figure
 
@@ -218,7 +205,7 @@ def _run_follow(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], A
 
     asked = read_follow_file(args.specification)
     count = max(map(len, asked.protocols.values()))
-    _say("runs …" if count > 1 else "run …")
+    say("runs …" if count > 1 else "run …")
     found = dj.follow([asked.scene] * count, **asked.protocols, **asked.options)
     followed = [run for run in found if not isinstance(run, Exception)]
     if not followed:
@@ -249,7 +236,7 @@ def _run_optimise(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[],
     from .design_files import read_design_file
 
     scene, over, options = read_design_file(args.specification, "optimise")
-    _say("design …")
+    say("design …")
     found = dj.maximise_area_strain(scene, over, **options)
 
     def draw() -> Any:
@@ -350,17 +337,18 @@ def _write(document: dict, draw: Callable[[], Any], args: argparse.Namespace) ->
             sys.stdout.flush()
         else:
             Path(args.json).write_text(text, encoding="utf-8")
-            _say(f"wrote {args.json}")
+            say(f"wrote {args.json}")
     figure = getattr(args, "figure", None)
     if figure is not None:
         import matplotlib
 
         matplotlib.use("Agg")
         draw().savefig(figure, dpi=150)
-        _say(f"wrote {figure}")
-    if args.json is None and figure is None:
+        say(f"wrote {figure}")
+    if args.json is None:
         readable = getattr(args, "readable", None) or _in_units(document, args.units, read=True)
-        print(summary(readable), flush=True)
+        sentences = getattr(args, "sentences", ())
+        print("\n".join([*sentences, *([""] if sentences else []), summary(readable)]), flush=True)
 
 
 def _run_paper(args: argparse.Namespace) -> None:
@@ -372,19 +360,30 @@ def _run_paper(args: argparse.Namespace) -> None:
 
     Path(args.output).mkdir(exist_ok=True)
     try:
-        print(statements_table(reproduce(args.output, args.only, say=_say)), flush=True)
+        print(statements_table(reproduce(args.output, args.only, say=say)), flush=True)
     except ValueError as error:
         raise BadInput(option_names(str(error), args)) from error
 
 
+def _run_explain(args: argparse.Namespace) -> None:
+    from ..model import GLOSSARY, explain
+
+    for word in args.words or GLOSSARY:
+        try:
+            print(f"{word}: {explain(word)}" if len(args.words) != 1 else explain(word))
+        except ValueError as error:
+            raise BadInput(str(error).replace("`word`", "WORD")) from error
+
+
 def _answer(args: argparse.Namespace) -> None:
     """Computes and writes the results that well-formed options request."""
+    if args.command == "explain":
+        return _run_explain(args)
     import jax
 
     jax.config.update("jax_enable_x64", True)
     import dielectric_jax as dj
 
-    dj.enable_compilation_cache()
     if args.command == "paper":
         return _run_paper(args)
     if getattr(args, "points", 0) is None:

@@ -21,6 +21,7 @@ __all__ = [
     "UNIT_CONSTANTS",
     "BadInput",
     "Parser",
+    "make_parser",
     "one_of",
     "option_names",
     "read_arguments",
@@ -230,6 +231,14 @@ def _add_voltage_volume(commands, common: Parser) -> None:
     scene.add_argument(
         "--modes", type=_numbers, metavar="A:B", help="numbers n from 1 of modes that end the ramp, such as 1:24"
     )
+    scene.add_argument("--shapes", action="store_true", help="also draw the shapes of the membrane; with --figure")
+
+
+def _add_explain(commands) -> None:
+    words = commands.add_parser(
+        "explain", help="what a word of the results means", description="Explains words of results, such as returns."
+    )
+    words.add_argument("words", nargs="*", metavar="WORD", help="the words; all of the glossary if there is none")
 
 
 def _add_paper(commands) -> None:
@@ -308,7 +317,8 @@ def _add_specified(commands) -> None:
         asked.add_argument("--figure", metavar="FILE", help=f"draw a figure ({', '.join(_FIGURE_SUFFIXES)})")
 
 
-def _parser() -> Parser:
+def make_parser() -> Parser:
+    """The parser of the whole program, with one parser for each command."""
     parser = Parser(prog=PROGRAM, description=_DESCRIPTION)
     parser.add_argument("--version", action="version", version=f"{PROGRAM} {_version()}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
@@ -321,6 +331,7 @@ def _parser() -> Parser:
     _add_sweep(commands)
     _add_calibrate(commands, common)
     _add_specified(commands)
+    _add_explain(commands)
     return parser
 
 
@@ -335,6 +346,8 @@ def _version() -> str:
 
 def _check(args: argparse.Namespace) -> None:
     """Refuses combinations of options that are allowed individually."""
+    if args.command == "explain":
+        return
     if args.command == "paper":
         _check_folder("--output", args.output)
         return
@@ -374,6 +387,8 @@ def _check(args: argparse.Namespace) -> None:
             )
         if args.command == "voltage-volume" and args.control == "charge" and args.engine == "surface":
             raise BadInput("--engine must be continuation with --control charge, but is surface.")
+        if args.command == "voltage-volume" and args.shapes and args.figure is None:
+            raise BadInput("--shapes must be given with --figure only.")
         if args.command == "voltage-volume" and args.modes is not None:
             if args.engine == "surface":
                 raise BadInput("--engine must be continuation with --modes, but is surface.")
@@ -487,7 +502,7 @@ def read_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     for word in argv:
         if re.fullmatch(r"--[a-z0-9-]+=--", word):  # argparse removes the two dashes and leaves no value at all
             raise BadInput(f"{word[:-3]} must be followed by a value, but is followed by '--'.")
-    args = _parser().parse_args(argv)
+    args = make_parser().parse_args(argv)
     _check(args)
     return args
 

@@ -1,13 +1,13 @@
 """The headings of columns in measurement files: the quantity a heading names, and the size of its unit in SI."""
 
 import dataclasses
-import itertools
 import re
 import unicodedata
 
+from ..model import is_unit_absolute, unit_size
 from .resolution import LONGEST_HEAD
 
-__all__ = ["Head", "is_absolute", "names_text", "read_head", "unit_size"]
+__all__ = ["Head", "is_absolute", "read_head"]
 
 _NAMES = {
     "volume": ("volume", "vol", "volumen", "volym", "volumes", "体积", "容积", "體積", "体積"),
@@ -48,118 +48,10 @@ _OTHER = {
 }
 _ABSOLUTE = re.compile(r"(?<![a-z])(abs|absolute)(?![a-z])")
 
-_PREFIXES = {
-    **{"T": 1e12, "G": 1e9, "M": 1e6, "k": 1e3, "h": 1e2, "da": 1e1, "": 1.0},
-    **{"d": 1e-1, "c": 1e-2, "m": 1e-3, "μ": 1e-6, "u": 1e-6, "n": 1e-9},
-}
-_PREFIX_WORDS = {
-    **{"mega": 1e6, "kilo": 1e3, "hecto": 1e2, "": 1.0, "deci": 1e-1, "centi": 1e-2, "milli": 1e-3},
-    **{"micro": 1e-6, "nano": 1e-9},
-}
-
-
-def _with_prefixes(prefixes: str, base: str, power: int = 1, size: float = 1.0) -> dict[str, float]:
-    return {p + base: size * _PREFIXES[p] ** power for p in prefixes.split("|")}
-
-
-def _in_words() -> dict[str, dict[str, float]]:
-    words: dict[str, dict[str, float]] = {"volume": {}, "pressure": {}}
-    for (prefix, size), plural in itertools.product(_PREFIX_WORDS.items(), ("", "s")):
-        for base, value in (("litre", 1e-3), ("liter", 1e-3)):
-            words["volume"][prefix + base + plural] = size * value
-        for base in ("metre", "meter"):
-            for cubic in ("cubic", "cu"):
-                words["volume"][cubic + prefix + base + plural] = size**3
-        for base, value in (("pascal", 1.0), ("bar", 1e5)):
-            words["pressure"][prefix + base + plural] = size * value
-    return words
-
-
-_MMHG, _INCH, _PSI, _CMH2O = 133.322387415, 0.0254, 6894.757293168, 98.0665
-# spelled as returned by `_plain`: without blanks, superscripts or carets, μ for every micro sign
-_UNITS = {
-    "volume": {
-        **_with_prefixes("|d|c|m|μ|u", "m3", 3),
-        **_with_prefixes("|d|c|m|μ|u|n", "L", 1, 1e-3),
-        **_with_prefixes("|d|c|m|μ|u|n", "l", 1, 1e-3),
-        **{"cc": 1e-6, "ccm": 1e-6, "cmm": 1e-9, "in3": _INCH**3, "cuin": _INCH**3},
-    },
-    "pressure": {
-        **_with_prefixes("G|M|k|h|da||m|μ|u", "Pa"),
-        **_with_prefixes("|m|μ|u", "bar", 1, 1e5),
-        **{"psi": _PSI, "lbf/in2": _PSI, "lb/in2": _PSI, "ksi": 1e3 * _PSI, "atm": 101325.0},
-        **{"mmHg": _MMHG, "cmHg": 10 * _MMHG, "inHg": 25.4 * _MMHG, "Torr": 101325 / 760, "mTorr": 101.325 / 760},
-        **{"mmH2O": _CMH2O / 10, "cmH2O": _CMH2O, "mH2O": 100 * _CMH2O, "inH2O": 2.54 * _CMH2O},
-        **{"mmWC": _CMH2O / 10, "cmWC": _CMH2O, "inWC": 2.54 * _CMH2O, "mmWS": _CMH2O / 10, "mmAq": _CMH2O / 10},
-        **{"N/m2": 1.0, "Nm-2": 1.0, "kN/m2": 1e3, "N/mm2": 1e6, "N/cm2": 1e4, "dyn/cm2": 0.1, "kgf/cm2": 98066.5},
-    },
-}
-for _quantity, _words in _in_words().items():
-    _UNITS[_quantity] |= _words
-_SECONDS = ("sec", "secs", "second", "seconds"), ("minute", "minutes"), ("hr", "hour", "hours")
-_UNITS["time"] = {**_with_prefixes("|m|μ|u", "s"), "min": 60.0, "h": 3600.0}
-for _sizes, _words in zip((1.0, 60.0, 3600.0), _SECONDS, strict=True):
-    _UNITS["time"] |= dict.fromkeys(_words, _sizes)
-_UNITS["stress"] = _UNITS["pressure"]
-_UNITS["stretch"] = {}
-_ENDINGS = ("(g)", "(a)", "g", "a", "gauge", "gage", "absolute", "abs", "rel")
-# for this package's own dimensionless numbers
-_NONE = {
-    "volume": ("-", "1", "a3"),
-    "pressure": ("-", "1", "μh/a", "uh/a"),
-    "time": ("-", "1", "τ"),
-    "stretch": ("-", "1", "mm/mm", "m/m"),
-    "stress": ("-", "1", "μ"),
-}
-
-
-def names_text(quantity: str) -> str:
-    """Examples of units of a quantity, for messages."""
-    return {
-        "volume": "m³, L, ml, µl, cm³, mm³",
-        "pressure": "Pa, hPa, kPa, bar, mbar, psi, mmHg",
-        "time": "s, ms, min, h",
-        "stretch": "- or mm/mm (a strain is not a stretch)",
-        "stress": "Pa, kPa, MPa, N/mm², psi",
-    }[quantity]
-
-
-def _plain(text: str) -> str:
-    """Normalises superscripts, micro signs, full-width letters, carets and blanks."""
-    plain = unicodedata.normalize("NFKC", text).replace("µ", "μ")
-    plain = re.sub(r"\^|\*\*|\s|·|\.$", "", plain)
-    return plain.replace("⋅", "")
-
-
-def unit_size(text: str, quantity: str) -> float | None:
-    """The size of a unit in SI, 0 for the unit of dimensionless numbers, None if the text is not a unit of the quantity.
-
-    Upper and lower case matter only where they distinguish two units. Raises ValueError for a unit that may be two.
-
-    >>> unit_size("mL", "volume"), unit_size("KPA", "pressure"), unit_size("V", "volume"), unit_size("A³", "volume")
-    (1e-06, 1000.0, None, 0.0)
-    """
-    unit, units = _plain(text), _UNITS[quantity]
-    if unit.lower() in _NONE[quantity]:
-        return 0.0
-    for ending in ("", *(_ENDINGS if quantity == "pressure" else ())):
-        if not unit.lower().endswith(ending):
-            continue
-        stem = unit[: len(unit) - len(ending)]
-        sizes = {units[stem]} if stem in units else {s for n, s in units.items() if n.lower() == stem.lower()}
-        if len(sizes) > 1:
-            both = sorted({n for n in units if n.lower() == stem.lower()})
-            raise ValueError(f"the unit {text!r} may be {' or '.join(both)}")
-        if sizes:
-            return sizes.pop()
-    return None
-
 
 def is_absolute(text: str) -> bool:
     """Whether a heading or a unit of pressure says that it is absolute."""
-    unit = _plain(text).lower()
-    stem = next((unit.removesuffix(e) for e in ("(a)", "a") if unit.endswith(e)), "")
-    return bool(_ABSOLUTE.search(text.lower())) or (unit != "pa" and stem in (n.lower() for n in _UNITS["pressure"]))
+    return bool(_ABSOLUTE.search(text.lower())) or is_unit_absolute(text)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -8,8 +8,9 @@ import pathlib
 import re
 from collections.abc import Iterator, Sequence
 
+from ..model import example_units, unit_size
 from ..numerics import shown
-from .column_names import Head, is_absolute, names_text, read_head, unit_size
+from .column_names import Head, is_absolute, read_head
 
 __all__ = ["FILM_QUANTITIES", "NUMBER", "QUANTITIES", "Line", "Table", "bare", "full", "split", "table_of"]
 
@@ -326,7 +327,7 @@ def _with_units(path, lines, head: Line | None, table: Table, wanted: Wanted) ->
             raise ValueError(f"`data` must give the {quantity} in a unit, but in {path} {error}.") from None
         if size is None:
             raise ValueError(
-                f"`data` must give the {quantity} in a unit such as {names_text(quantity)}, but {path} says {shown(unit)}."
+                f"`data` must give the {quantity} in a unit such as {example_units(quantity)}, but {path} says {shown(unit)}."
             )
         absolute = quantity == "pressure" and (heads[k].absolute or is_absolute(unit or ""))
         heads[k] = Head(quantity, unit, size, 0, absolute)

@@ -7,6 +7,7 @@ from .neutral import neutral_modes
 from .ramp import ENDS, LOSSES, NOT_LOCATED
 from .ramps import APEX, ERROR, LISTED, LOAD, PRESSURE, SLOTS, VOLUME, RampArrays, Ramps, Slot, States, ramps_of
 from .regimes import regime_of, regime_of_diagram
+from .reports import Report, report, report_of
 from .states import check_request, filling
 from .surface_ramps import (
     Curves,
@@ -41,6 +42,7 @@ __all__ = [
     "MembraneKey",
     "RampArrays",
     "Ramps",
+    "Report",
     "Slot",
     "States",
     "TraceGrid",
@@ -66,6 +68,8 @@ __all__ = [
     "ramps_of",
     "regime_of",
     "regime_of_diagram",
+    "report",
+    "report_of",
     "stacked",
     "starts",
     "voltage_volume",

@@ -1,6 +1,7 @@
 from .chart import Scan, cached_scan, explicit_map, map_nodes, stretch_shares
 from .energies import require_float64
 from .films import FILM_MODES, Film, FilmState, Passed, Sampled, film_of, film_states, pass_film
+from .glossary import GLOSSARY, explain
 from .kinds import ClosingEquation, PointKind, RampEvent
 from .loading import (
     Chamber,
@@ -42,6 +43,7 @@ from .parameters import PARAMETERS, Change, Parameter, change_of, parameter_of, 
 from .points import Points, Shooting, compile_ahead, corrected_points
 from .profiles import energy, profile, scaling_defect
 from .programs import jacobian_program, value_program
+from .quantities import example_units, is_unit_absolute, quantity, unit_size
 from .records import Branch, Event, Ramp, SpecialPoint, State, events_table, plain, points_table, voltage_of
 from .resolution import CHUNK, GRIDS, LARGEST_FIELD, LEAST_ESTIMATE, LOAD_PANELS, MOST_STEPS, SCALE, SCANNED_LOAD
 from .scene import Scene, Window, describe, doubt_of_vhb, pair
@@ -56,6 +58,7 @@ __all__ = [
     "CHUNK",
     "FILM_MODES",
     "FLOW",
+    "GLOSSARY",
     "GRIDS",
     "LANES",
     "LARGEST_FIELD",
@@ -138,6 +141,8 @@ __all__ = [
     "energy",
     "energy_on",
     "events_table",
+    "example_units",
+    "explain",
     "explicit_map",
     "field_on",
     "field_ratio_squared",
@@ -145,6 +150,7 @@ __all__ = [
     "film_states",
     "integrate_membrane",
     "is_concrete",
+    "is_unit_absolute",
     "jacobian_program",
     "largest_load",
     "least_along",
@@ -162,6 +168,7 @@ __all__ = [
     "plain",
     "points_table",
     "profile",
+    "quantity",
     "refuse_si",
     "regimes_of",
     "require_float64",
@@ -174,6 +181,7 @@ __all__ = [
     "stability_of",
     "stresses",
     "stretch_shares",
+    "unit_size",
     "value_program",
     "vhb_4910",
     "voltage_of",

@@ -1,4 +1,4 @@
-from .cache import cache_folder, enable_compilation_cache, enabled_folder, is_own, make_folder
+from .cache import cache_folder, enable_compilation_cache, enabled_folder, is_own, make_folder, say
 from .codes import (
     Code,
     SceneError,
@@ -58,6 +58,7 @@ __all__ = [
     "reciprocal",
     "root_find",
     "run_lanes",
+    "say",
     "shorter",
     "shown",
     "sine_cosine",

@@ -11,9 +11,10 @@ import sys
 import typing
 import warnings
 
-__all__ = ["cache_folder", "enable_compilation_cache", "enabled_folder", "is_own", "make_folder", "write_own"]
+__all__ = ["cache_folder", "enable_compilation_cache", "enabled_folder", "is_own", "make_folder", "say", "write_own"]
 
-_enabled: pathlib.Path | None = None
+_UNDECIDED = pathlib.Path()
+_enabled: pathlib.Path | None = _UNDECIDED
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 _refused: set[str] = set()
 
@@ -136,7 +137,7 @@ def setting(name: str) -> typing.Any:
 def enable_compilation_cache(directory: str | os.PathLike | None = None) -> pathlib.Path | None:
     """Keeps programs, traced and compiled, in `directory` (default: dielectric_jax in the user's cache folder).
 
-    A later process reads them instead of making them.
+    A later process reads them instead of making them. The first computation calls it; a call of your own names another folder.
 
     The environment variable DIELECTRIC_JAX_CACHE names another folder, or switches the cache off with "off". A folder that
     another user owns or may write to is refused with a warning, and so is one that cannot be made. Returns the folder, None
@@ -144,14 +145,19 @@ def enable_compilation_cache(directory: str | os.PathLike | None = None) -> path
     compiled, with its settings, and the folder holds traces and surfaces.
     """
     import jax
+    from jax.experimental.compilation_cache import compilation_cache
 
     global _enabled
-    before, path = _enabled, _usable(cache_folder(directory))
-    _enabled = path
+    before, asked = _enabled, cache_folder(directory)
+    new = asked is not None and not asked.exists()
+    path = _enabled = _usable(asked)
     if path is not None and setting("jax_compilation_cache_dir") in (None, str(before), str(path)):
         jax.config.update("jax_compilation_cache_dir", str(path))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+        compilation_cache.reset_cache()  # JAX looks for a folder once, with the first program of the process
+    if path is not None and new:
+        say(f"Compiled programs are kept in {path}; DIELECTRIC_JAX_CACHE=off switches this off.")
     return path
 
 
@@ -171,5 +177,11 @@ def _usable(path: pathlib.Path | None) -> pathlib.Path | None:
 
 
 def enabled_folder() -> pathlib.Path | None:
-    """The folder `enable_compilation_cache` was called with; None before and where it is off."""
-    return _enabled
+    """The folder of kept programs, None where the cache is off; the first call enables the default one."""
+    return enable_compilation_cache() if _enabled is _UNDECIDED else _enabled
+
+
+def say(text: str) -> None:
+    """Writes a line about what is being done to standard error, where a person is likely to watch: a terminal or a notebook."""
+    if sys.stderr.isatty() or "ipykernel" in sys.modules:
+        print(text, file=sys.stderr, flush=True)

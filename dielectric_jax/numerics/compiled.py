@@ -24,7 +24,7 @@ import jax.export
 import numpy as np
 from jax.experimental import serialize_executable
 
-from .cache import enabled_folder, is_own, make_folder, setting, write_own
+from .cache import enabled_folder, is_own, make_folder, say, setting, write_own
 from .lanes import run_lanes
 from .resolution import FUSION_EMITTERS, LANES, MOST_LIVE, MOST_SHELVED, VECTOR_WIDTH
 
@@ -33,6 +33,7 @@ __all__ = ["cached_jit", "elementwise", "of_this_package", "source_digest"]
 # how XLA compiles for the CPU; a backend or a release that does not know an option compiles without them
 _OPTIONS: typing.Any = {"xla_cpu_prefer_vector_width": VECTOR_WIDTH}
 _PACKAGE = __name__.split(".")[0]
+_PATIENCE = 2.0  # seconds
 
 
 def of_this_package(value) -> bool:
@@ -189,6 +190,10 @@ def cached_jit(function: Callable, *, fusion_emitters: bool = FUSION_EMITTERS) -
         key = function, folder, setting("jax_default_device"), tree, shapes
 
         def make():
+            with _announced():
+                return compiled()
+
+        def compiled():
             own = folder / "programs" if folder is not None and of_this_package(args) else None
             lowered = _lowered(function, tree, shapes, own)
             return _compiled(lowered, _OPTIONS | {"xla_cpu_use_fusion_emitters": fusion_emitters})
@@ -196,6 +201,24 @@ def cached_jit(function: Callable, *, fusion_emitters: bool = FUSION_EMITTERS) -
         return _PROGRAMS.of(key, make)(*arrays)
 
     return call
+
+
+@contextlib.contextmanager
+def _announced():
+    """Says once in a process that it compiles, where that takes longer than people wait without a word."""
+    timer = threading.Timer(_PATIENCE, _say_compiling)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+@functools.cache
+def _say_compiling() -> None:
+    where = "" if enabled_folder() is None else "; later processes read the programs from the cache"
+    say(f"compiling … (the first results take up to a minute{where})")
 
 
 def elementwise(function: Callable, *, lanes: int = LANES) -> Callable:

@@ -11,7 +11,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..model import PointKind, PrescribedVolume, RampEvent, SpecialPoint, control_of, mechanical, voltage_of
+from ..model import (
+    Event,
+    PointKind,
+    PrescribedVolume,
+    Profile,
+    RampEvent,
+    SpecialPoint,
+    control_of,
+    mechanical,
+    voltage_of,
+)
 from .drawing import (
     COLOURS,
     GAS,
@@ -75,13 +85,27 @@ def plot_voltage_volume(
         place, squared, broken, stable = columns(branch, f"{vertical}_squared", points, across)
         draw_line(ax, place, voltage_of(squared), stable, broken, colour=COLOURS[number % len(COLOURS)])
     shown = [p for p in diagram.special_points if p.voltage_squared >= 0]
-    draw_points(ax, shown, vertical, across)
+    free = [p for p in shown if not _under_an_event(p, diagram.events)]
+    draw_points(ax, free, vertical, across)
     draw_events(ax, diagram.events, vertical, across=across)
     _label(ax, vertical, units, across)
     _frame_control(ax, diagram, shown, whole, vertical, across)
     if legend:
-        add_legend(ax, [*line_entries(diagram.branches), *point_entries(shown), *event_entries(diagram.events)])
+        seen = [p for p in free if _in_view(ax, getattr(p, across), getattr(p, vertical))]
+        add_legend(ax, [*line_entries(diagram.branches), *point_entries(seen), *event_entries(diagram.events)])
     return ax
+
+
+def _in_view(ax: Axes, x: float, y: float) -> bool:
+    (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
+    return left <= x <= right and bottom <= y <= top
+
+
+def _under_an_event(point: SpecialPoint, events: Sequence[Event]) -> bool:
+    """Whether the marker of an event covers that of a point: they are the same state."""
+    marked = [e.state for e in events if e.event not in (RampEvent.snap, RampEvent.snap_back)]
+    near = [s for s in marked if abs(s.apex_stretch - point.apex_stretch) <= 1e-6 * point.apex_stretch]
+    return any(abs(s.volume - point.volume) <= 1e-6 * max(point.volume, s.volume) for s in near)
 
 
 def plot_pressure_volume(
@@ -136,12 +160,18 @@ def plot_pressure_volume(
     if legend:
         branches = [b for d in diagrams for b in d.branches]
         lines = line_entries(branches) if stability else [e for e in line_entries(branches) if "beyond" in e[1]]
-        add_legend(ax, [*entries, *lines, *point_entries(shown)])
+        seen = [p for p in shown if _in_view(ax, p.volume, p.pressure)]
+        add_legend(ax, [*entries, *lines, *point_entries(seen)])
     return ax
 
 
 def plot_chamber(
-    diagram: Any, curves: Sequence[Any] = (), *, figure: Figure | None = None, units: Any = None
+    diagram: Any,
+    curves: Sequence[Any] = (),
+    *,
+    figure: Figure | None = None,
+    units: Any = None,
+    shapes: Sequence[tuple[Event, Profile]] = (),
 ) -> Figure:
     """Draws the paper's figure of one scene: membrane curves with the line of the air, and voltage against volume.
 
@@ -154,11 +184,18 @@ def plot_chamber(
             under charge control, where the states do not follow a curve of constant voltage.
         figure: the figure to draw on; a new one when None.
         units: the `Units` to draw in, as kV, ml and mbar; by default those the scene carries, else dimensionless.
+        shapes: events and the profiles of their states, drawn below at one scale.
 
     Returns:
         The figure.
     """
     _require_kind(diagram, "voltage-volume")
+    if shapes:
+        figure = new_figure(11.0 if curves else 6.0, 6.2) if figure is None else figure
+        above, below = figure.subfigures(2, 1, height_ratios=(2.6, 1))
+        _draw_shapes(below, shapes, viewed(diagram, units)[1])
+        plot_chamber(diagram, curves, figure=above, units=units)
+        return figure
     charged = control_of(diagram.scene.loading) == "charge"
     if charged and curves:
         raise ValueError("Argument `curves` must be empty for a diagram under charge control, but is not.")
@@ -213,6 +250,24 @@ def plot_diagram(
     figure = new_figure(6.0) if figure is None else figure
     plot_pressure_volume(diagram, ax=figure.add_subplot(), units=units)
     return figure
+
+
+def _draw_shapes(figure: Any, shapes: Sequence[tuple[Event, Profile]], units: Any) -> None:
+    """Cross-sections of the membrane in a row, at one scale, each named by its event and voltage."""
+    rows = figure.subplots(1, len(shapes), squeeze=False)[0]
+    width = max(float(shape.r.max()) for _, shape in shapes)
+    top = max(float(shape.z[-1]) for _, shape in shapes)
+    for ax, (event, shape) in zip(rows, shapes, strict=True):
+        across, up = np.concatenate([-shape.r[::-1], shape.r]), shape.z[-1] - shape.z
+        up = np.concatenate([up[::-1], up])
+        ax.fill(across, up, color="0.93")
+        ax.plot(across, up, color="0.25", linewidth=1.8)
+        for side in (-1, 1):
+            ax.plot([side * shape.r[-1], side * 1.15 * width], [0, 0], color="0.6", linewidth=1.2)
+        ax.set(xlim=(-1.15 * width, 1.15 * width), ylim=(-0.04 * top, 1.06 * top), aspect="equal")
+        voltage = event.state.voltage if units is None else units.read(event.state.voltage, "voltage")
+        ax.set_title(f"{str(event.event).replace('_', ' ')}\n{voltage_text(voltage, units)}", fontsize=9)
+        ax.axis("off")
 
 
 def chamber_voltages(diagram: Any) -> list[float]:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import dielectric_jax as dj
-from dielectric_jax.design.column_names import unit_size
 from dielectric_jax.design.measurements import runs_of
+from dielectric_jax.model import unit_size
 
 # ml and kPa, rounded as a file would have them; below 1, about 1 and above 1000 in pascals
 VOLUME = np.round(np.geomspace(3.4, 680.0, 25), 4)

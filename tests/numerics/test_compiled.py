@@ -193,10 +193,10 @@ def test_a_folder_that_others_may_change_is_refused(monkeypatch, tmp_path, who):
     jax_folder = jax.config.jax_compilation_cache_dir
     own = tmp_path / "shared" / "cache"
     try:
-        assert dj.enable_compilation_cache(own) == cache.enabled_folder() == own
+        assert dj.numerics.enable_compilation_cache(own) == cache.enabled_folder() == own
         assert own.stat().st_mode & 0o777 == 0o700
         os.chmod(own.parent, 0o1777)  # like /tmp: others may not rename files of this user
-        assert dj.enable_compilation_cache(own) == own
+        assert dj.numerics.enable_compilation_cache(own) == own
         if who == "folder":
             own.chmod(0o770)
         elif who == "parent":
@@ -212,7 +212,7 @@ def test_a_folder_that_others_may_change_is_refused(monkeypatch, tmp_path, who):
             (tmp_path / "link").symlink_to(own)
             own = tmp_path / "link"
         with pytest.warns(RuntimeWarning, match="is not used"):
-            assert dj.enable_compilation_cache(own) is None
+            assert dj.numerics.enable_compilation_cache(own) is None
         assert cache.enabled_folder() is None
         monkeypatch.setenv("DIELECTRIC_JAX_CACHE", str(own))
         if who != "file inside":  # a file of JAX does not affect the surfaces beside it
@@ -244,11 +244,11 @@ def test_a_cache_of_the_users_for_compiled_programs_stays(monkeypatch, tmp_path)
     before = jax.config.jax_compilation_cache_dir
     try:
         jax.config.update("jax_compilation_cache_dir", str(tmp_path / "theirs"))
-        assert dj.enable_compilation_cache(tmp_path / "ours") == cache.enabled_folder() == tmp_path / "ours"
+        assert dj.numerics.enable_compilation_cache(tmp_path / "ours") == cache.enabled_folder() == tmp_path / "ours"
         assert jax.config.jax_compilation_cache_dir == str(tmp_path / "theirs")
         jax.config.update("jax_compilation_cache_dir", None)
         for name in ("ours", "others"):  # our own folder follows the last call
-            dj.enable_compilation_cache(tmp_path / name)
+            dj.numerics.enable_compilation_cache(tmp_path / name)
             assert jax.config.jax_compilation_cache_dir == str(tmp_path / name)
     finally:
         jax.config.update("jax_compilation_cache_dir", before)
@@ -267,4 +267,4 @@ def test_a_folder_that_cannot_be_made_is_refused(monkeypatch, tmp_path):
     monkeypatch.setattr(cache, "_refused", set())
     (tmp_path / "file").touch()
     with pytest.warns(RuntimeWarning, match="is not used"):
-        assert dj.enable_compilation_cache(tmp_path / "file" / "cache") is None
+        assert dj.numerics.enable_compilation_cache(tmp_path / "file" / "cache") is None

@@ -47,6 +47,13 @@ def test_every_public_name_has_its_entry(site):
     assert 'class="gp">&gt;&gt;&gt; <' in text  # examples are blocks of code
 
 
+def test_pages_that_the_program_makes(site):
+    words = (site / "glossary" / "index.html").read_text(encoding="utf-8")
+    assert all(word in words for word in ("breaks in snap", "hoop tension loss", "relaxation time", "E/E_EB"))
+    commands = (site / "command_line" / "index.html").read_text(encoding="utf-8")
+    assert all(option in commands for option in ("--chamber-volume", "--resume", "--relaxation-times", "WORD"))
+
+
 @pytest.mark.parametrize("words", list(commands()))
 def test_commands_are_understood(words, monkeypatch, tmp_path):
     """Checks names of options and their values; the output of commands is tested with the command line."""

@@ -120,7 +120,7 @@ from dielectric_jax.numerics.locks import alone
 if __name__ == "__main__":
     import dask.distributed as dd
     folder = pathlib.Path(sys.argv[1])
-    dj.enable_compilation_cache()
+    dj.numerics.enable_compilation_cache()
     scene = dj.Scene(dj.Membrane(), dj.Chamber(volume=1600.0, initial_volume=2.42))
     chambers = np.geomspace(600, 25000, 48)
     with dd.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster, dd.Client(cluster) as client:
