@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from ..model import LARGEST_FIELD, PARAMETERS
+from ..model import LARGEST_FIELD, PARAMETERS, quantity
 from ..numerics import LARGEST, shown, whole_range
 
 __all__ = [
@@ -43,25 +43,42 @@ MATERIAL_CONSTANTS = {
 
 _DESCRIPTION = """Equilibria and bifurcation diagrams of a dielectric elastomer membrane on an air chamber.
 Quantities are dimensionless: lengths in A, pressures in μH/A, volumes in A³, voltages in H√(μ/ε); with --si all
-quantities of options and JSON are in SI (Pa, m³, V, V/m for --breakdown), and tables and figures in mbar, ml, kV."""
+quantities of options and JSON are in SI (Pa, m³, V, V/m for --breakdown), and tables and figures in mbar, ml, kV.
+Quantities with a unit, such as "0.5 l" or "4 kV", imply --si."""
 
 #: the constants of the units, given with --si only: option, symbol, meaning, and the default
 UNIT_CONSTANTS = {
-    "shear_modulus": ("PA", "shear modulus μ in Pa (45e3)"),
-    "thickness": ("M", "undeformed thickness H in m (1e-3)"),
-    "radius": ("M", "undeformed radius A in m (22.5e-3)"),
-    "relative_permittivity": ("E", "relative permittivity (4.7)"),
+    "shear_modulus": ("PA", "shear modulus μ in Pa (45e3)", "stress"),
+    "thickness": ("M", "undeformed thickness H in m (1e-3)", "length"),
+    "radius": ("M", "undeformed radius A in m (22.5e-3)", "length"),
+    "relative_permittivity": ("E", "relative permittivity (4.7)", ""),
 }
+#: the options that are dimensionless without --si; those of `_OPTION_KINDS` are of parameters
+_DIMENSIONAL = ("voltage", "pressure", "volume", *("chamber_volume", "initial_volume", "initial_pressure"))
+_DIMENSIONAL += ("atmospheric_pressure", "breakdown", "noise")
+_OPTION_KINDS = ("pressure", "volume")
 
 
-def _number(check: Callable[[float], bool], what: str) -> Callable[[str], float]:
-    """A parser of numbers that pass `check`; `what` describes the allowed ones."""
+class InUnits(float):
+    """A number in SI that was given with its unit."""
+
+
+def _with_unit(text: str, kind: str) -> float:
+    """The number of a text with a unit of this kind; raises `argparse.ArgumentTypeError` for others."""
+    try:
+        return InUnits(quantity(text, kind))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def _number(check: Callable[[float], bool], what: str, kind: str = "") -> Callable[[str], float]:
+    """A parser of numbers that pass `check`, with a unit of the `kind` if there is one; `what` describes the allowed ones."""
 
     def read(text: str) -> float:
         try:
             value = float(text)
         except ValueError:
-            value = math.nan
+            value = _with_unit(text, kind) if kind and re.match(r"\s*[+-]?\.?\d", text) else math.nan
         if not (math.isfinite(value) and check(value)):
             raise argparse.ArgumentTypeError(f"must be {what}, but is {shown(text)}.")
         if abs(value) > LARGEST:
@@ -71,12 +88,23 @@ def _number(check: Callable[[float], bool], what: str) -> Callable[[str], float]
     return read
 
 
+def _positive_of(kind: str) -> Callable[[str], float]:
+    return _number(lambda v: v > 0, "a positive finite number", kind)
+
+
+def _not_negative_of(kind: str) -> Callable[[str], float]:
+    return _number(lambda v: v >= 0, "zero or a positive finite number", kind)
+
+
+def _constant_of(kind: str) -> Callable[[str], float]:
+    """A parser of constants of the units, by which a division must not overflow."""
+    allowed = f"a positive finite number from {1 / LARGEST:g} to {LARGEST:g}"
+    return _number(lambda v: 1 / LARGEST <= v <= LARGEST, allowed, kind)
+
+
 _finite = _number(lambda v: True, "a finite number")
-_positive = _number(lambda v: v > 0, "a positive finite number")
-_not_negative = _number(lambda v: v >= 0, "zero or a positive finite number")
+_positive = _positive_of("")
 _share = _number(lambda v: 0 < v < 1, "a number between 0 and 1")
-# a division by a constant of the units must not overflow
-_unit = _number(lambda v: 1 / LARGEST <= v <= LARGEST, f"a positive finite number from {1 / LARGEST:g} to {LARGEST:g}")
 _prestretch = _number(lambda v: v >= 1, "a finite number of at least 1")
 
 
@@ -100,23 +128,28 @@ _count = _whole(1, 10_000)
 def _breakdown(text: str) -> str | float:
     if text == "vhb":
         return text
-    return _number(lambda v: v > 0, "vhb or a positive field, in units of √(μ/ε), with --si in V/m")(text)
+    return _number(lambda v: v > 0, "vhb or a positive field, in units of √(μ/ε), with --si in V/m", "field")(text)
 
 
 _ASCII = str.maketrans({"₀": "0", "₁": "1", "₂": "2", "ᵢ": "", "μ": "M", "α": "A", "λ": "L", "_": ""})
 
 
-def _add_parameter(group, name: str, of: str = "", value: float | None = None) -> None:
+def _add_parameter(group, name: str, whose: str = "", value: float | None = None) -> None:
     """Adds the option of a parameter as the table of parameters describes it; `value` is its default."""
     row = PARAMETERS[name]
     many = {"nargs": "+"} if row.many else {}
+    of = _not_negative_of if row.closed else _positive_of
     kind = (
-        _finite if math.isinf(row.least) else _prestretch if row.least else _not_negative if row.closed else _positive
+        _finite
+        if math.isinf(row.least)
+        else _prestretch
+        if row.least
+        else of(row.kind if row.kind in _OPTION_KINDS else "")
     )
     default = "" if row.default is None else f" ({row.default:g})"
     symbol = row.symbol.translate(_ASCII).upper()
     group.add_argument(
-        _option(name), type=kind, default=value, metavar=symbol, help=f"{row.label}{of}{default}", **many
+        _option(name), type=kind, default=value, metavar=symbol, help=f"{row.label}{whose}{default}", **many
     )
 
 
@@ -134,8 +167,8 @@ def _common() -> Parser:
     )
     group = common.add_argument_group("units")
     group.add_argument("--si", action="store_true", help="options and results in SI")
-    for name, (symbol, what) in UNIT_CONSTANTS.items():
-        group.add_argument(_option(name), type=_unit, metavar=symbol, help=what)
+    for name, (symbol, what, kind) in UNIT_CONSTANTS.items():
+        group.add_argument(_option(name), type=_constant_of(kind), metavar=symbol, help=what)
     group = common.add_argument_group("answer")
     group.add_argument("--json", metavar="FILE|-", help="write JSON to a file, or to standard output with -")
     group.add_argument("--figure", metavar="FILE", help=f"draw a figure ({', '.join(_FIGURE_SUFFIXES)})")
@@ -152,10 +185,10 @@ def _common() -> Parser:
 
 def _add_state(command: Parser) -> Any:
     """The options that ask for one state; returns the group of which one is given."""
-    command.add_argument("--voltage", type=_not_negative, default=0.0, metavar="PHI", help="voltage (0)")
+    command.add_argument("--voltage", type=_not_negative_of("voltage"), default=0.0, metavar="PHI", help="voltage (0)")
     given = command.add_mutually_exclusive_group(required=True)
-    given.add_argument("--pressure", type=_not_negative, metavar="P", help="prescribed pressure")
-    given.add_argument("--volume", type=_not_negative, metavar="V", help="prescribed volume")
+    given.add_argument("--pressure", type=_not_negative_of("pressure"), metavar="P", help="prescribed pressure")
+    given.add_argument("--volume", type=_not_negative_of("volume"), metavar="V", help="prescribed volume")
     given.add_argument("--apex-stretch", type=_positive, metavar="L", help="prescribed stretch of the apex")
     return given
 
@@ -202,7 +235,9 @@ For n = 0 pressure and voltage are held; with --chamber-volume the gas of the ch
     _add_filling(modes)
     modes.add_argument("--numbers", type=_numbers, default=tuple(range(13)), metavar="A:B", help="numbers n (0:12)")
     modes.add_argument("--count", type=_whole(1, 12), default=3, metavar="N", help="eigenvalues of each number (3)")
-    modes.add_argument("--density", type=_unit, metavar="RHO", help="density in kg/m3, for frequencies; with --si")
+    modes.add_argument(
+        "--density", type=_constant_of("density"), metavar="RHO", help="density in kg/m3, for frequencies; with --si"
+    )
 
 
 def _add_pressure_volume(commands, common: Parser) -> None:
@@ -210,7 +245,12 @@ def _add_pressure_volume(commands, common: Parser) -> None:
         "pressure-volume", parents=[common], help="curves at fixed voltage", description=_DESCRIPTION
     )
     curve.add_argument(
-        "--voltage", type=_not_negative, nargs="+", action="extend", metavar="PHI", help="one or more voltages (0)"
+        "--voltage",
+        type=_not_negative_of("voltage"),
+        nargs="+",
+        action="extend",
+        metavar="PHI",
+        help="one or more voltages (0)",
     )
 
 
@@ -295,12 +335,19 @@ def _add_calibrate(commands, common: Parser) -> None:
         "--branch", choices=["loading", "unloading", "all"], help="part used if the volume rises and falls (loading)"
     )
     fit.add_argument(
-        "--atmospheric-pressure", type=_not_negative, metavar="PATM", help="subtract it from absolute pressures (0)"
+        "--atmospheric-pressure",
+        type=_not_negative_of("pressure"),
+        metavar="PATM",
+        help="subtract it from absolute pressures (0)",
     )
-    fit.add_argument("--voltage", type=_not_negative, default=0.0, metavar="PHI", help="voltage of the measurement (0)")
+    fit.add_argument(
+        "--voltage", type=_not_negative_of("voltage"), default=0.0, metavar="PHI", help="voltage of the measurement (0)"
+    )
     fit.add_argument("--over", nargs="+", metavar="NAME", help="constants to fit (those of the material, and μ in SI)")
     fit.add_argument("--loss", choices=["linear", "huber", "soft_l1"], default="linear", help="of residuals (linear)")
-    fit.add_argument("--noise", type=_positive, metavar="P", help="standard deviation of a pressure (from residuals)")
+    fit.add_argument(
+        "--noise", type=_positive_of("pressure"), metavar="P", help="standard deviation of a pressure (from residuals)"
+    )
     fit.add_argument("--level", type=_share, default=0.95, metavar="P", help="level of the confidence intervals (0.95)")
 
 
@@ -357,6 +404,7 @@ def _check(args: argparse.Namespace) -> None:
     if args.command == "sweep":
         _check_sweep(args)
         return
+    _choose_units(args)
     for owner, names in MATERIAL_CONSTANTS.items():
         for name in names:
             if getattr(args, name) is not None and owner != args.material:
@@ -402,6 +450,22 @@ def _check(args: argparse.Namespace) -> None:
         raise BadInput("--figure must be left out for modes, which has no figure.")
     if args.command == "equilibrium" and args.points is not None and args.figure is None:
         raise BadInput("--points must be given with --figure only for equilibrium, because a state has no branch.")
+
+
+def _choose_units(args: argparse.Namespace) -> None:
+    """Chooses SI where quantities were given with units; then all of them must be."""
+
+    def given(name: str) -> list[Any]:
+        value = getattr(args, name, None)
+        return value if isinstance(value, list) else [value]
+
+    named = [n for n in (*_DIMENSIONAL, *UNIT_CONSTANTS, "density") if any(isinstance(v, InUnits) for v in given(n))]
+    if not named or args.si:
+        return
+    for name in _DIMENSIONAL:
+        if any(type(v) is float and v != 0 for v in given(name)):
+            raise BadInput(f"{_option(name)} must be given with a unit, as {_option(named[0])} is, or with --si.")
+    args.si = True
 
 
 def _check_files(args: argparse.Namespace) -> None:

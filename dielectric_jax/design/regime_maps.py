@@ -182,6 +182,8 @@ def check_range(name: str, limits, scene: Scene | None = None) -> tuple[float, f
     """A valid range (low, high) of a parameter of the `scene`, a number that it has."""
     if scene is not None:
         scene.check_varies(name)
+    if scene is not None and isinstance(limits, (list, tuple)):
+        limits = [scene.number_of(name, v) for v in limits]
     try:
         low, high = (float(v) for v in limits)
     except (TypeError, ValueError, OverflowError):

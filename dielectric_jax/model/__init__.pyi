@@ -43,7 +43,7 @@ from .parameters import PARAMETERS, Change, Parameter, change_of, parameter_of, 
 from .points import Points, Shooting, compile_ahead, corrected_points
 from .profiles import energy, profile, scaling_defect
 from .programs import jacobian_program, value_program
-from .quantities import example_units, is_unit_absolute, quantity, unit_size
+from .quantities import VACUUM_PERMITTIVITY, example_units, is_unit_absolute, quantity, unit_size
 from .records import Branch, Event, Ramp, SpecialPoint, State, events_table, plain, points_table, voltage_of
 from .resolution import CHUNK, GRIDS, LARGEST_FIELD, LEAST_ESTIMATE, LOAD_PANELS, MOST_STEPS, SCALE, SCANNED_LOAD
 from .scene import Scene, Window, describe, doubt_of_vhb, pair
@@ -51,7 +51,7 @@ from .scene_batch import LANES, Corrected, SceneBatch, calls, difficulty, load_f
 from .shooting import UNKNOWNS, eighth_order_step, integrate_membrane, rim_with_sensitivities, shoot
 from .shooting_method import ShootingMethod, shooting_of
 from .stability import Stability, least_along, stability_of
-from .units import VACUUM_PERMITTIVITY, VHB_4910, Units, refuse_si
+from .units import VHB_4910, Units, from_text, refuse_si
 from .viscoelastic import FLOW, Maxwell, Unrelaxed, Viscoelastic, spring_and_branches
 
 __all__ = [
@@ -148,6 +148,7 @@ __all__ = [
     "field_ratio_squared",
     "film_of",
     "film_states",
+    "from_text",
     "integrate_membrane",
     "is_concrete",
     "is_unit_absolute",

@@ -20,6 +20,7 @@ import numpy as np
 
 from ..numerics import LARGEST, check_positive, elementwise, log1p, of_this_package, reciprocal
 from .energies import check_energy, check_modulus, check_permittivity
+from .quantities import VACUUM_PERMITTIVITY
 from .resolution import (
     LARGEST_EXPONENT,
     LARGEST_LIMIT,
@@ -30,7 +31,7 @@ from .resolution import (
     UNLIMITED_STRETCH,
     UNROLLED_TERMS,
 )
-from .units import VACUUM_PERMITTIVITY, VHB_4910, Scalar, as_scalar, is_concrete
+from .units import VHB_4910, Scalar, as_scalar, is_concrete
 
 __all__ = [
     "AbstractBreakdown",

@@ -7,7 +7,9 @@ import unicodedata
 
 from ..numerics import LARGEST, shown
 
-__all__ = ["example_units", "is_unit_absolute", "quantity", "unit_size"]
+__all__ = ["VACUUM_PERMITTIVITY", "example_units", "is_unit_absolute", "quantity", "unit_size"]
+
+VACUUM_PERMITTIVITY = 8.854e-12  # F/m, with the digits of the paper
 
 _PREFIXES = {
     **{"T": 1e12, "G": 1e9, "M": 1e6, "k": 1e3, "h": 1e2, "da": 1e1, "": 1.0},
@@ -73,7 +75,7 @@ _UNITS["field"] = {
     for volt, size in _with_prefixes("M|k|", "V").items()
     for metre, length in _with_prefixes("|c|m|μ|u", "m").items()
 }
-_UNITS["permittivity"] = {"F/m": 1.0, "Fm-1": 1.0, **_with_prefixes("μ|u|n", "F/m"), "pF/m": 1e-12}
+_UNITS["permittivity"] = {"F/m": 1.0, "pF/m": 1e-12} | dict.fromkeys(("ε0", "eps0"), VACUUM_PERMITTIVITY)
 _UNITS["density"] = {"kg/m3": 1.0, "g/cm3": 1e3, "g/cc": 1e3, "g/ml": 1e3, "kg/L": 1e3, "kg/l": 1e3}
 _ENDINGS = ("(g)", "(a)", "g", "a", "gauge", "gage", "absolute", "abs", "rel")
 # for this package's own dimensionless numbers
@@ -93,7 +95,7 @@ _EXAMPLES = {
     "length": "m, cm, mm, µm",
     "voltage": "V, kV",
     "field": "V/m, MV/m, kV/mm, V/µm",
-    "permittivity": "F/m, pF/m",
+    "permittivity": "F/m, pF/m, eps0",
     "density": "kg/m³, g/cm³",
 }
 

@@ -39,7 +39,7 @@ from .materials import (
 from .membrane import Membrane
 from .parameters import PARAMETERS, parameter_of, place_of
 from .resolution import LARGEST_FIELD, SCANNED_LOAD, VHB_MODULI, VHB_PERMITTIVITIES
-from .units import Units, is_concrete, refuse_si
+from .units import Units, from_text, is_concrete, refuse_si
 from .viscoelastic import Maxwell, Viscoelastic, spring_and_branches
 
 __all__ = ["Scene", "Window", "describe", "doubt_of_vhb", "pair"]
@@ -157,7 +157,7 @@ class Scene(eqx.Module):
     def replace(self, **parameters) -> "Scene":
         """The scene with other values of the named parameters; setting one side of a filling clears the other.
 
-        Parameters of the units are in SI, and what they change is the film: the loading and a constant breakdown field stay
+        With `units` a value may be a text with its unit, such as `chamber_volume="0.5 l"`. Parameters of the units are in SI, and what they change is the film: the loading and a constant breakdown field stay
         what they are in SI, so that their dimensionless numbers change. All others are dimensionless, in the new units where
         both are given: the order of the parameters does not matter. What looks like SI is refused. An entry of a list is
         `moduli[0]`; `modulus_ratio` and `relaxation_time` are one number for each branch of a viscoelastic film,
@@ -169,6 +169,7 @@ class Scene(eqx.Module):
         named = [pair for name, value in parameters.items() for pair in self._by_branches(name, value)]
         for name, value in sorted(named, key=lambda item: place_of(item[0])[0] != "units"):
             path = scene.path_of(name)
+            value = scene.number_of(name, value)
             if path[0] == "units":
                 scene = scene._in(_rebuild(scene.units, (), {name: value}))
                 continue
@@ -178,6 +179,10 @@ class Scene(eqx.Module):
                 changes[other] = None
             scene = _rebuild(scene, path[:-1], changes)
         return scene
+
+    def number_of(self, name: str, value: typing.Any) -> typing.Any:
+        """A value of a parameter as the scene holds it: a text with a unit, such as "0.5 l", becomes a number, dimensionless or of the units."""
+        return from_text(name, value, self.units) if isinstance(value, str) else value
 
     def has(self, name: str) -> bool:
         """Whether a parameter is one of this scene's."""

@@ -16,13 +16,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..numerics import LARGEST, check_positive
+from ..numerics import LARGEST, check_positive, shown
 from .parameters import PARAMETERS
+from .quantities import VACUUM_PERMITTIVITY, quantity
 
-__all__ = ["VACUUM_PERMITTIVITY", "VHB_4910", "Scalar", "Units", "as_scalar", "is_concrete", "refuse_si"]
+__all__ = ["VHB_4910", "Scalar", "Units", "as_scalar", "from_text", "is_concrete", "refuse_si"]
 
 Scalar: typing.TypeAlias = typing.Any  # a number, or the array or tracer that stands for one
-VACUUM_PERMITTIVITY = 8.854e-12  # F/m, with the digits of the paper
 
 #: the two fits to VHB 4910 of the paper's section 3: to inflation (used in its analyses), and to tension
 VHB_4910 = {
@@ -95,8 +95,15 @@ def as_scalar(value: Scalar):
         return np.asarray(math.inf if value > 0 else -math.inf)
 
 
+def _constant(name: str) -> Callable:
+    """A converter of a constant of the units: a number in SI, or a text with a unit such as "0.3 MPa"."""
+    return lambda value: as_scalar(from_text(name, value, None) if isinstance(value, str) else value)
+
+
 class Units(eqx.Module):
     """What one means in SI: shear modulus μ [Pa], undeformed thickness H [m], radius A [m], permittivity ε [F/m].
+
+    Each is a number in SI, or a text with its unit such as "0.3 MPa", "0.2 mm", "2.8 eps0".
 
     By default the membrane of the paper's analyses: VHB 4910 with μ = 45 kPa, H = 1 mm, A = 22.5 mm, ε = 4.7 ε0. The
     field's unit √(μ/ε) is also that of the breakdown law, which must be given the same μ and ε; `Scene` checks it, and
@@ -111,11 +118,13 @@ class Units(eqx.Module):
     (3.288422182, 'kV')
     """
 
-    shear_modulus: Scalar = eqx.field(default=VHB_4910["inflation"]["shear_modulus"], converter=as_scalar)
-    thickness: Scalar = eqx.field(default=1e-3, converter=as_scalar)
-    radius: Scalar = eqx.field(default=22.5e-3, converter=as_scalar)
-    permittivity: Scalar = eqx.field(default=4.7 * VACUUM_PERMITTIVITY, converter=as_scalar)
-    density: Scalar | None = eqx.field(default=None, converter=lambda v: None if v is None else as_scalar(v))
+    shear_modulus: Scalar = eqx.field(
+        default=VHB_4910["inflation"]["shear_modulus"], converter=_constant("shear_modulus")
+    )
+    thickness: Scalar = eqx.field(default=1e-3, converter=_constant("thickness"))
+    radius: Scalar = eqx.field(default=22.5e-3, converter=_constant("radius"))
+    permittivity: Scalar = eqx.field(default=4.7 * VACUUM_PERMITTIVITY, converter=_constant("permittivity"))
+    density: Scalar | None = eqx.field(default=None, converter=lambda v: None if v is None else _constant("density")(v))
 
     def __check_init__(self):
         if self.density is not None and is_concrete(self.density):
@@ -220,6 +229,31 @@ class Units(eqx.Module):
         if isinstance(what, (int, float, np.ndarray, jax.Array)):
             raise ValueError("`name` must be given with a number, such as 'voltage' or 'pressure', but is not.")
         return _converted(what, factor)
+
+
+_KINDS_OF_CONSTANTS = {"Pa": "stress", "m": "length", "F/m": "permittivity"}
+
+
+def from_text(name: str, text: str, units: Units | None) -> float:
+    """The number of a parameter or option that a text with a unit stands for: in SI of the units' constants, dimensionless of others.
+
+    Raises ValueError for what is no number with a unit, and for a dimensionless number without `units`.
+
+    >>> round(from_text("chamber_volume", "18.225 l", Units()), 9), from_text("thickness", "0.2 mm", None)
+    (1600.0, 0.0002)
+    """
+    kind = "density" if name == "density" else _KINDS_OF_CONSTANTS.get(_CONSTANTS.get(name, ""), _KIND.get(name))
+    if kind is None:
+        raise ValueError(f"`{name}` must be a number, but is {shown(text)}.")
+    try:
+        value = quantity(text, kind)
+    except ValueError as error:
+        raise ValueError(f"`{name}` {error}") from None
+    if name == "density" or name in _CONSTANTS:
+        return value
+    if units is None:
+        raise ValueError(f"`{name}` must be a number, because the scene carries no `units`, but is {shown(text)}.")
+    return units.reduce(value, name)
 
 
 def refuse_si(given: Mapping[str, typing.Any], units: Units, *, least: int = 1) -> None:

@@ -243,6 +243,11 @@ class Design:
         return [-(-size // own) for size, own in zip(self.shape, chunk, strict=True)]
 
 
-def axes_of(parameters: Mapping[str, typing.Any]) -> tuple[Axis, ...]:
-    """One axis for each parameter, with the name of the parameter."""
-    return tuple(Axis(name, {name: values}) for name, values in parameters.items())
+def axes_of(parameters: Mapping[str, typing.Any], scene: Scene | None = None) -> tuple[Axis, ...]:
+    """One axis for each parameter, with the name of the parameter; texts with units are read by those of the scene."""
+
+    def numbers(name: str, values: typing.Any) -> typing.Any:
+        given = isinstance(scene, Scene) and isinstance(values, (list, tuple))
+        return [scene.number_of(name, v) for v in values] if given else values
+
+    return tuple(Axis(name, {name: numbers(name, values)}) for name, values in parameters.items())

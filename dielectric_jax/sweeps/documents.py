@@ -9,6 +9,7 @@ import numpy as np
 
 from ..model import (
     PARAMETERS,
+    VACUUM_PERMITTIVITY,
     ArrudaBoyce,
     Chamber,
     ConstantBreakdown,
@@ -24,6 +25,7 @@ from ..model import (
     VHBBreakdown,
     Viscoelastic,
     Window,
+    from_text,
     parameter_of,
     place_of,
     refuse_si,
@@ -54,17 +56,53 @@ _PLACES = ("loading", "membrane", "breakdown", "material")
 
 
 def read_toml(path: str | os.PathLike) -> dict[str, typing.Any]:
-    """The content of a TOML file; raises ValueError if it cannot be read or is not TOML."""
+    """The content of a TOML file, texts with units as numbers; raises ValueError if it cannot be read or is not TOML."""
     name = os.fspath(path)
     try:
         with open(path, "rb") as file:
-            return tomllib.load(file)
+            document = tomllib.load(file)
     except OSError as error:
         raise ValueError(
             f"`SPEC` must be a file that can be read, but {shown(name)} is not: {error.strerror}."
         ) from None
     except (ValueError, RecursionError) as error:  # not TOML, not UTF-8, or a name or number that Python refuses
         raise ValueError(f"`SPEC` must be a file of TOML, but {shown(name)} is not: {error}.") from None
+    return _in_numbers(document)
+
+
+def _in_numbers(document: dict[str, typing.Any]) -> dict[str, typing.Any]:
+    """The document with its texts with units, such as "0.5 l", as numbers: in SI in [units], dimensionless elsewhere."""
+    made = dict(document)
+    units = None
+    if isinstance(document.get("units"), dict):
+        own = {n: from_text(n, v, None) if isinstance(v, str) else v for n, v in document["units"].items()}
+        if "relative_permittivity" in own:
+            if "permittivity" in own:
+                raise ValueError("`permittivity` or `relative_permittivity` must be given in [units], but both are.")
+            relative = number("units", "relative_permittivity", own.pop("relative_permittivity"))
+            own["permittivity"] = relative * VACUUM_PERMITTIVITY
+        made["units"] = own
+        known = [n for n, row in PARAMETERS.items() if row.path[0] == "units"]
+        units = Units(**{n: number("units", n, v) for n, v in own.items() if n in known}) if own else None
+    for name in ("scene", "product", "over"):
+        if isinstance(document.get(name), dict):
+            made[name] = {n: _number_in(n, v, units) for n, v in document[name].items()}
+    if isinstance(document.get("zip"), dict):
+        made["zip"] = {
+            d: {n: _number_in(n, v, units) for n, v in columns.items()} if isinstance(columns, dict) else columns
+            for d, columns in document["zip"].items()
+        }
+    return made
+
+
+def _number_in(name: str, value: typing.Any, units: Units | None) -> typing.Any:
+    """A value, or the values of a list or range, with texts with units as numbers; what is no quantity stays as it is."""
+    if isinstance(value, list):
+        return [_number_in(name, v, units) for v in value]
+    if isinstance(value, dict):
+        return {key: _number_in(name, v, units) if key in ("from", "to") else v for key, v in value.items()}
+    known = name in PARAMETERS or (name == "breakdown" and value != "vhb")
+    return from_text(name, value, units) if isinstance(value, str) and known else value
 
 
 def refuse(where: str, given: typing.Iterable[str], allowed: typing.Iterable[str]) -> None:

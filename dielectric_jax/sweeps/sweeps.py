@@ -74,7 +74,7 @@ def sweep(
         block: scenes in a block; when None a sixteenth of all, from 256 to 8192 (surface) or 32 to 128 (continuation).
         executor: None, a number of worker processes, the address of a Dask scheduler, or a `concurrent.futures.Executor`.
         progress: show a progress bar; on a terminal and in a notebook when None.
-        **parameters: lists of values of parameters.
+        **parameters: lists of values of parameters; with `units` of the scene also texts such as "0.5 l".
 
     Returns:
         The dataset; `outcome` and `regime` are codes (see their `flag_meanings`), and every value comes with its error.
@@ -91,7 +91,7 @@ def sweep(
     """
     require_float64()
     check_engine(engine, resolve=resolve, curves=curves, modes=modes, tolerance=tolerance)
-    design = Design(scene, (*axes, *axes_of(parameters)), parameters_of(engine))
+    design = Design(scene, (*axes, *axes_of(parameters, scene)), parameters_of(engine))
     numbers = () if modes is None else checked_numbers(modes, 1, "modes")
     job = _job(design, engine, resolve, curves, 1e-9 if tolerance is None else tolerance)
     job = dataclasses.replace(job, modes=numbers)
