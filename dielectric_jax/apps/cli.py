@@ -34,9 +34,6 @@ from .summaries import summary
 __all__ = ["main"]
 
 
-_ATMOSPHERE = 100e3  # Pa; 50 μH/A for the membrane of the paper
-
-
 def _membrane(dj: Any, args: argparse.Namespace) -> Any:
     kinds = {"gent": dj.Gent, "neo-hookean": dj.NeoHookean, "arruda-boyce": dj.ArrudaBoyce}
     kinds |= {"mooney-rivlin": dj.MooneyRivlin, "ogden": dj.Ogden}
@@ -51,14 +48,14 @@ def _units(dj: Any, args: argparse.Namespace) -> Any:
     """The units of --si, None without it; converts the quantities of the options to dimensionless numbers."""
     if not getattr(args, "si", False):
         return None
-    from ..model import VACUUM_PERMITTIVITY
+    from ..model import ATMOSPHERE, VACUUM_PERMITTIVITY
 
     given = {n: getattr(args, n) for n in UNIT_CONSTANTS if getattr(args, n) is not None}
     if "relative_permittivity" in given:
         given["permittivity"] = given.pop("relative_permittivity") * VACUUM_PERMITTIVITY
     units = dj.Units(**given)
     if getattr(args, "chamber_volume", None) is not None and args.atmospheric_pressure is None:
-        args.atmospheric_pressure = _ATMOSPHERE
+        args.atmospheric_pressure = ATMOSPHERE
     vars(args).update(units.from_si(vars(args)))
     return units
 
@@ -98,7 +95,8 @@ def _states(dj: Any, args: argparse.Namespace) -> tuple[Any, list[Any]]:
     if args.chamber_volume is not None:
         args.control = "voltage"
         scene = _scene(dj, args)
-        return scene, dj.equilibrium(scene, voltage=args.voltage, all=True, tolerance=args.tolerance)
+        voltage = scene.in_units(args.voltage, "voltage")
+        return scene, dj.equilibrium(scene, voltage=voltage, all=True, tolerance=args.tolerance)
     membrane = _membrane(dj, args)
     names = ("pressure", "volume", "apex_stretch")
     given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}

@@ -2,7 +2,7 @@
 
 from ..model import Scene, place_of
 from ..numerics import shown
-from ..sweeps import check_dimensionless, number, other_filling_left_out, read_toml, refuse, scene_of, table
+from ..sweeps import check_sizes, number, other_filling_left_out, read_toml, refuse, scene_of, table
 
 __all__ = ["read_design_file"]
 
@@ -56,5 +56,5 @@ def read_design_file(path: str, command: str) -> tuple[Scene, dict, dict]:
     sought = {n: low for n, (low, _) in over.items() if place_of(n)[0] != "units"}
     scene = other_filling_left_out(scene, over)
     made = scene_of(sought | scene, constants)
-    check_dimensionless(scene | over, constants)
+    check_sizes(scene | over, constants)
     return made, over, options

@@ -4,8 +4,8 @@ import typing
 
 from ..model import Membrane, Scene, Units
 from ..numerics import shown
-from ..rates import AbstractProtocol, Hold, Ramp, Steps, Triangle
-from ..sweeps import check_dimensionless, number, one_of, read_toml, refuse, scene_of, table
+from ..rates import AbstractProtocol, Hold, Ramp, Steps, Triangle, converted
+from ..sweeps import check_sizes, number, one_of, read_toml, refuse, scene_of, table
 
 __all__ = ["FollowFile", "read_follow_file"]
 
@@ -114,9 +114,20 @@ def read_follow_file(path: str) -> FollowFile:
     if held and loading:
         raise ValueError(f"`{loading}` in [scene] must be left out where [{held}] is given, which takes its place.")
     # the membrane alone is followed where its volume or pressure is prescribed
-    scene = scene_of(given | ({"pressure": 1.0} if held else {}), constants)
-    check_dimensionless(given, constants)
+    scene = scene_of(given | ({"pressure": 1e3} if held else {}), constants)
+    check_sizes(given, constants)
     count = max(map(len, protocols.values()))
     each = {name: own * (count // len(own)) for name, own in protocols.items()}
     options, check = _options(document.get("follow", {}))
-    return FollowFile(scene.membrane if held else scene, scene.units, each, options, labels, check)
+    if not held:
+        return FollowFile(scene, scene.units, each, options, labels, check)
+    if scene.units is not None:  # which the membrane alone does not carry
+        each = {n: [_times(p, 1 / float(scene.units.scale(n))) for p in own] for n, own in each.items()}
+    return FollowFile(scene.membrane, scene.units, each, options, labels, check)
+
+
+def _times(protocol: AbstractProtocol, factor: float) -> AbstractProtocol:
+    """The protocol in another unit."""
+    document = converted(protocol.to_json(), lambda value: value * factor)
+    kinds = {"ramp": Ramp, "hold": Hold, "steps": Steps, "triangle": Triangle}
+    return kinds[document.pop("protocol")](**document)

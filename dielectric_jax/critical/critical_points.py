@@ -236,7 +236,7 @@ def _fold_voltage(scene: Scene, name: str, surface):
 
 
 def snap_voltage(scene: Scene, *, surface: Surface | None = None):
-    """The voltage of the first fold of the stable branch on the ramp up, also past breakdown.
+    """The voltage of the first fold of the stable branch on the ramp up, also past breakdown; in V on a scene with units.
 
     Its derivative dq/dθ = −(ψ·F_θ)/(ψ·F_q), with ψ the left null vector of the equations' Jacobian at the fold, needs first
     derivatives only. A `surface` of the scene's membrane makes batches fast. Raises SceneError if there is no fold; inside
@@ -251,7 +251,7 @@ def snap_voltage(scene: Scene, *, surface: Surface | None = None):
     >>> round(1e5 * float(slope), 6)
     -1.27029
     """
-    return _fold_voltage(scene, "snap", surface)
+    return scene.in_units(_fold_voltage(scene, "snap", surface), "voltage")
 
 
 def snap_point(scene: Scene, *, surface: Surface | None = None, throw: bool = True) -> CriticalPoint:
@@ -261,7 +261,7 @@ def snap_point(scene: Scene, *, surface: Surface | None = None, throw: bool = Tr
 
 def snap_back_voltage(scene: Scene, *, surface: Surface | None = None):
     """The voltage of the first fold on the ramp down from the last landing; otherwise like `snap_voltage`."""
-    return _fold_voltage(scene, "snap_back", surface)
+    return scene.in_units(_fold_voltage(scene, "snap_back", surface), "voltage")
 
 
 def snap_back_point(scene: Scene, *, surface: Surface | None = None, throw: bool = True) -> CriticalPoint:
@@ -322,8 +322,8 @@ def breakdown_point(scene: Scene, *, surface: Surface | None = None, throw: bool
 
 
 def breakdown_voltage(scene: Scene, *, surface: Surface | None = None):
-    """The voltage at which the ramp up breaks down, see `breakdown_point`."""
-    return breakdown_point(scene, surface=surface).voltage
+    """The voltage at which the ramp up breaks down, in V on a scene with units; see `breakdown_point`."""
+    return scene.in_units(breakdown_point(scene, surface=surface).voltage, "voltage")
 
 
 def area_strain(scene: Scene, *, surface: Surface | None = None):

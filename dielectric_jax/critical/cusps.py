@@ -133,13 +133,13 @@ def bistability_point(scene: Scene, *, throw: bool = True) -> CriticalPoint:
 
 
 def bistability_onset(scene: Scene):
-    """The smallest chamber volume with two stable states at zero voltage, see `bistability_point`.
+    """The smallest chamber volume with two stable states at zero voltage, in m³ on a scene with units; see `bistability_point`.
 
     >>> scene = Scene(Membrane(), Chamber(volume=1600.0, initial_volume=2.42))
     >>> round(float(bistability_onset(scene)), 6)
     1455.896262
     """
-    return bistability_point(scene).parameter
+    return scene.in_units(bistability_point(scene).parameter, "chamber_volume")
 
 
 def cusp(

@@ -88,7 +88,7 @@ def _conditions_at(name: str, scene: Scene, start: Found | None, value):
     """θ at a value of a parameter, from the state that fills the chamber there, and its derivative by the parameter."""
 
     def conditions(value):
-        own = scene.replace(**{name: value})
+        own = scene.with_values(**{name: value})
         if isinstance(own.loading, ConstantVoltage):
             load = jnp.asarray(own.loading.voltage, float) ** 2
             return _floats(Conditions(own.membrane, own.loading.condition(), load))
@@ -128,7 +128,7 @@ class ConditionsOver:
         """Raises if the followed state no longer fills the chamber: of several states at p_0 the one of smallest volume does."""
         if self.start is None or not self.moves:
             return
-        scene = self.scene.replace(**{self.name: self.value})
+        scene = self.scene.with_values(**{self.name: self.value})
         target = typing.cast(Chamber, scene.loading).initial_pressure
         if target is None:
             return
@@ -160,7 +160,7 @@ class ConditionsOver:
         """The state that fills the chamber, found from the last one."""
         if not self.moves and steps in self._fillings:
             return self._fillings[steps]
-        scene = self.scene.replace(**{self.name: value})
+        scene = self.scene.with_values(**{self.name: value})
         loading = typing.cast(Chamber, scene.loading)
         by_volume = loading.initial_volume is not None
         kind, target = (

@@ -13,6 +13,7 @@ crossing of a curve must appear in its diagram. Bracketed points are located by 
 
 import dataclasses
 import math
+import typing
 
 import numpy as np
 
@@ -30,7 +31,7 @@ _QUANTITIES = ("parameter", "apex_stretch", "pressure", "voltage", "volume", "br
 
 @dataclasses.dataclass(frozen=True)
 class FoldCurve:
-    """A curve of folds or of breakdown: arrays (points,), dimensionless, and why it ends on either side.
+    """A curve of folds or of breakdown: arrays (points,), dimensionless or in SI of a scene with units, and why it ends on either side.
 
     `ends`: lower_bound, upper_bound (of the parameter), zero_voltage, largest_ratio, largest_load, closed, no_filling (no state
     of the first branch fills the chamber beyond), or step_too_small and too_many_points, which are reported as doubts.
@@ -119,7 +120,9 @@ def _check(scene, parameter, within, samples, kinds, largest_ratio) -> tuple[flo
     if not isinstance(scene.loading, (Chamber, ConstantPressure, ConstantVoltage)):
         raise other_loading(scene.loading, Chamber, ConstantPressure, ConstantVoltage)
     scene.check_varies(parameter)
-    low, high = pair("within", within)
+    low, high = pair(
+        "within", [scene.number_of(parameter, v) for v in within] if isinstance(within, (list, tuple)) else within
+    )
     for value in (low, high):
         scene.replace(**{parameter: value})
     if not (isinstance(samples, int) and samples >= 2):
@@ -174,7 +177,7 @@ def fold_curves(
     plan = System(of["fold"], ConditionsOver(scene, parameter), (low, high))
     values = [plan.value(w) for w in shares]
     seeds, doubts = _seeds(scene, parameter, values, largest_ratio)
-    windows = [scene.replace(**{parameter: value}).limits()[0] for value in values]
+    windows = [scene.with_values(**{parameter: value}).limits()[0] for value in values]
     curves, points = [], []
     for kind in kinds:
         system = System(of[kind], ConditionsOver(scene, parameter), (low, high))
@@ -186,9 +189,17 @@ def fold_curves(
         ]
         curves += [_curve(kind, system, one) for one in found]
         doubts += [f"At {parameter} = {system.value(z[3]):g}, λa = {z[0]:.6g}, a {kind}{text}" for z, text in words]
-    return FoldCurves(
-        scene, parameter, (low, high), control, tuple(curves), tuple(points), tuple(values), tuple(doubts)
-    )
+    curves, points = (tuple(_in_units(scene, one) for one in many) for many in (curves, points))
+    return FoldCurves(scene, parameter, (low, high), control, curves, points, tuple(values), tuple(doubts))
+
+
+def _in_units(scene: Scene, found: typing.Any) -> typing.Any:
+    """A curve or a point with its pressures, volumes and voltages as the scene gives them."""
+    changes = {n: scene.in_units(getattr(found, n), n) for n in ("pressure", "voltage", "volume")}
+    if isinstance(found, FoldCurve):
+        scales = [1.0, scene.in_units(1.0, "pressure"), scene.in_units(1.0, "voltage"), 1.0]
+        changes["line"] = found.line * np.array(scales, float)
+    return dataclasses.replace(found, **changes)
 
 
 def _followed(system: System, shares, seeds: list, largest_ratio: float, windows) -> tuple[list[Followed], list]:
@@ -228,7 +239,7 @@ def _seeds(scene: Scene, parameter: str, values: list[float], largest_ratio: flo
     """Folds and breakdowns of diagrams within the limits, (sample, kind, u), and sentences on diagrams that do not exist."""
     seeds, doubts = [], []
     for i, value in enumerate(values):
-        own = scene.replace(**{parameter: value})
+        own = scene.with_values(**{parameter: value})
         try:
             if isinstance(own.loading, ConstantVoltage):
                 found = pressure_volume(own.membrane, float(own.loading.voltage), window=own.window)

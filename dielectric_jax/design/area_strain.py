@@ -13,7 +13,7 @@ import scipy.ndimage
 import scipy.optimize
 
 from ..diagram import Diagram, voltage_volume
-from ..model import Outcome, Regime, Scene, describe, place_of, plain
+from ..model import Outcome, Regime, Scene, describe_in_units, place_of, plain
 from ..numerics import check_whole
 from ..surface import Surface, SurfaceFamily
 from .constrained_search import Axis, Climb, Kind, Requirements, axis_of, begin_of, inwards, scan_designs
@@ -50,9 +50,8 @@ class Design:
     def to_json(self) -> dict:
         """The JSON document of `dielectric-jax optimise`."""
         return plain(
-            {
-                "scene": describe(self.scene),
-                "units": "dimensionless",
+            describe_in_units(self.scene)
+            | {
                 "parameters": self.parameters,
                 "area_strain": self.area_strain,
                 "active": list(self.active),
@@ -61,7 +60,7 @@ class Design:
                 "regime": self.regime.name,
                 "evaluations": self.evaluations,
                 "scan": self.scan,
-                "diagram": None if self.diagram is None else self.diagram.to_json(),
+                "diagram": None if self.diagram is None else self.diagram.to_json(self.scene.units),
             }
         )
 
@@ -216,7 +215,7 @@ def _is_true(climb: Climb, z: np.ndarray, names: tuple) -> bool:
         mine = climb.unknowns(moved)[j][: 1 + 3 * climb.kind.snaps]
         if ramps.outcome[0] == Outcome.unresolved:
             values = {n: float(v[0]) for n, v in given.items()}
-            other = _events_of(scenario.real.replace(**values))
+            other = _events_of(scenario.real.with_values(**values))
         elif ramps.outcome[0] == Outcome.breakdown_on_branch and ramps.snaps[0] == climb.kind.snaps:
             other = begin_of(climb.kind, ramps, np.array([0]))[0][: len(mine)]
         else:
@@ -261,7 +260,8 @@ def _answer(scene: Scene, best, evaluations: int, compare: int, check: bool, sha
     slack: dict = {}
     for name, value, _ in entries:
         slack[name] = min(float(value), slack.get(name, np.inf))
-    active = [(n, s) for n, v, s in entries if abs(v) <= ACTIVE * (1 + (abs(v) if n.endswith("er") else 0))]
+    widths = {f"{a.name}_{side}": a.high - a.low for a in climb.axes for side in ("lower", "upper")}
+    active = [(n, s) for n, v, s in entries if abs(v) <= ACTIVE * widths.get(n, 1.0)]
     multipliers: dict = {}
     if active:
         # of the area strain: its gradient is balanced by those of the active constraints
@@ -274,7 +274,7 @@ def _answer(scene: Scene, best, evaluations: int, compare: int, check: bool, sha
     regime = classify_designs(scene, {n: [v] for n, v in near.items()}, surface=climb.scenes[0].given).regime[0]
     diagram = None
     if check:
-        checked = scene.replace(**near)
+        checked = scene.with_values(**near)
         surface = climb.scenes[0].given
         own = None if isinstance(surface, SurfaceFamily) else surface_for(checked.membrane, surface)
         diagram = voltage_volume(checked, surface=own)
@@ -287,7 +287,7 @@ def _answer(scene: Scene, best, evaluations: int, compare: int, check: bool, sha
         multipliers,
         slack,
         Regime(int(regime)),
-        scene.replace(**parameters),
+        scene.with_values(**parameters),
         diagram,
         evaluations,
         scan,

@@ -187,7 +187,7 @@ def _program(equations: Callable, names: tuple, segment: bool) -> Callable:
                 u, values = x[: len(x) - len(begin)], x[len(x) - len(begin) :]
                 if segment:
                     values = values + u[-1] * (end - begin)
-                design = scene.replace(**dict(zip(names, values, strict=True)))
+                design = scene.with_values(**dict(zip(names, values, strict=True)))
                 rows, measured = equations(SurfaceConditions(jets, places, design, u[0]), u)
                 value = jnp.concatenate([jnp.stack(rows), jnp.stack(measured) if measured else jnp.zeros(0)])
                 return value, value

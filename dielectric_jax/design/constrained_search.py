@@ -175,7 +175,7 @@ class Axis:
 def axis_of(name: str, limits, scene: Scene) -> Axis:
     """The axis of a scene's parameter over a range; raises ValueError for invalid ones."""
     low, high = check_range(name, limits, scene)
-    values = even(name, limits, 3)
+    values = even(name, (low, high), 3)
     return Axis(name, low, high, bool(abs(values[1] - (low + high) / 2) > 1e-9 * high))
 
 

@@ -14,7 +14,18 @@ import jax
 import numpy as np
 
 from ..diagram import MembraneKey, Ramps, chamber_ramps, continue_scenes, loading_arrays, pressure_ramps, regime_of
-from ..model import Chamber, Change, ConstantPressure, Membrane, Regime, Scene, change_of, field_on, other_loading
+from ..model import (
+    Chamber,
+    Change,
+    ConstantPressure,
+    Membrane,
+    Regime,
+    Scene,
+    change_of,
+    field_on,
+    other_loading,
+    refuse_dimensionless,
+)
 from ..numerics import SceneError
 from ..surface import ById, Surface, SurfaceFamily
 from .resolution import MOST_BUILT, MOST_SECTIONS, TYPICAL_STRETCH
@@ -60,8 +71,8 @@ def designs_of(scene: Scene, parameters: dict) -> Scene:
     values = [np.asarray(parameters[n], float) for n in names]
     ends = {f(v) for v in np.stack(values, axis=1).tolist() for f in (tuple,)} if len(values[0]) <= 4 else set()
     for own in ends or {tuple(v.min() for v in values), tuple(v.max() for v in values)}:
-        scene.replace(**dict(zip(names, own, strict=True)))
-    replace = jax.vmap(lambda *own: scene.replace(**dict(zip(names, own, strict=True))))
+        scene.with_values(**dict(zip(names, own, strict=True)))
+    replace = jax.vmap(lambda *own: scene.with_values(**dict(zip(names, own, strict=True))))
     stacked_scenes = replace(*values)
     return jax.tree.map(lambda v: np.broadcast_to(np.asarray(v, float), values[0].shape), stacked_scenes)
 
@@ -80,7 +91,7 @@ def surface_over(scene: Scene, over: dict, given: typing.Any) -> Surface | Surfa
         return SurfaceFamily.build(scene.membrane.material, prestretch=(low, high), breakdown=law)
     # the breakdown law determines the extent of the surface: use the strongest of the corners
     corners = [dict(zip(over, values, strict=True)) for values in itertools.product(*over.values())]
-    films = [scene.replace(**corner).membrane for corner in corners]
+    films = [scene.with_values(**corner).membrane for corner in corners]
     return _built(MembraneKey.of(max(films, key=lambda film: float(field_on(film.breakdown, TYPICAL_STRETCH)))))
 
 
@@ -133,6 +144,8 @@ def classify_designs(
     >>> [Regime(int(r)).name for r in found.regime]
     ['breaks_in_snap', 'returns', 'no_snap', 'returns', 'stays']
     """
+    if scene.units is not None:
+        refuse_dimensionless(parameters, scene.units)
     found = designs_on_surfaces(scene, parameters, surface=surface)
     if whole:
         by_continuation(found)

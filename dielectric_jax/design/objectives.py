@@ -83,7 +83,7 @@ def maximise(
     low, high = (np.array([getattr(a, side) for a in axes]) for side in ("low", "high"))
 
     def all_of(x):
-        own = scene.replace(**dict(zip(names, x, strict=True)))
+        own = scene.with_values(**dict(zip(names, x, strict=True)))
         return jnp.stack([jnp.asarray(f(own), float) for f in (objective, *(f for _, f in limits))])
 
     both = jax.jit(lambda x: (all_of(x), jax.jacrev(all_of)(x)))
@@ -114,4 +114,4 @@ def maximise(
     active += [f"{a.name}_lower" for a, v in zip(axes, z, strict=True) if v < AT_END]
     active += [f"{a.name}_upper" for a, v in zip(axes, z, strict=True) if v > 1 - AT_END]
     parameters = dict(zip(names, (low + z * (high - low)).tolist(), strict=True))
-    return Optimum(parameters, float(value[0]), tuple(active), scene.replace(**parameters))
+    return Optimum(parameters, float(value[0]), tuple(active), scene.with_values(**parameters))

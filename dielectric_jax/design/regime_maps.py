@@ -12,7 +12,7 @@ import numpy as np
 import scipy.ndimage
 
 from ..diagram import Ramps
-from ..model import Change, Outcome, Regime, Scene, change_of, describe, plain, refuse_si
+from ..model import Change, Outcome, Regime, Scene, change_of, describe_in_units, plain, refuse_dimensionless
 from ..numerics import LARGEST, check_whole, shown
 from ..surface import Surface, SurfaceFamily
 from .boundaries import LANDING_LOST, completed, guesses, has_event, kind_between, located, with_landing
@@ -154,9 +154,8 @@ class RegimeMap:
             for b in self.boundaries
         ]
         return plain(
-            {
-                "scene": describe(self.scene),
-                "units": "dimensionless",
+            describe_in_units(self.scene)
+            | {
                 "over": list(self.names),
                 "values": dict(zip(self.names, self.values, strict=True)),
                 "names": {int(r): r.name for r in Regime},
@@ -183,6 +182,8 @@ def check_range(name: str, limits, scene: Scene | None = None) -> tuple[float, f
     if scene is not None:
         scene.check_varies(name)
     if scene is not None and isinstance(limits, (list, tuple)):
+        if scene.units is not None:
+            refuse_dimensionless({name: [v for v in limits if isinstance(v, (int, float))]}, scene.units)
         limits = [scene.number_of(name, v) for v in limits]
     try:
         low, high = (float(v) for v in limits)
@@ -192,19 +193,21 @@ def check_range(name: str, limits, scene: Scene | None = None) -> tuple[float, f
         raise ValueError(
             f"`{name}` must range over two finite numbers (low, high) with low < high, but is {shown(limits)}."
         )
-    if scene is not None and scene.units is not None:
-        refuse_si({name: (low, high)}, scene.units)
     return low, high
+
+
+def _ranges(scene: Scene, over: dict) -> dict[str, tuple[float, float]]:
+    """The ranges of parameters of a scene whose ramps the surface knows, as numbers."""
+    check_loading(scene)
+    return {name: check_range(name, limits, scene) for name, limits in over.items()}
 
 
 class _Known:
     """The designs classified so far, with their regimes and ramps."""
 
     def __init__(self, scene: Scene, over: dict, surface, *, diagrams: bool = False):
-        check_loading(scene)
-        ranges = {name: check_range(name, limits, scene) for name, limits in over.items()}
         self.scene, self.names = scene, tuple(over)
-        self.surface = surface_over(scene, ranges, surface)
+        self.surface = surface_over(scene, over, surface)
         self.parts: list[Designs] = []
         self.values = np.empty((0, len(over)))
         self.regime = np.empty(0, int)
@@ -253,7 +256,7 @@ def _edges(known: _Known, one: np.ndarray, other: np.ndarray):
             group = np.array([i for i, k in enumerate(keys) if k == key])
             some = own[group]
             at = dict(zip(known.names, begin[some[0]], strict=True))
-            surface = surface_for(known.scene.replace(**at).membrane, known.surface)
+            surface = surface_for(known.scene.with_values(**at).membrane, known.surface)
             began = guess[group]
             if far:
                 began = with_landing(surface, known.scene, known.names, known.values[source[group]], began)
@@ -313,6 +316,7 @@ def regime_edges(
     """
     if len(over) != 1:
         raise ValueError(f"`over` must name one parameter, but names {len(over)}.")
+    over = _ranges(scene, over)
     known, names = _Known(scene, over, surface, diagrams=True), tuple(over)
     number = known.add(even(names[0], over[names[0]], points)[:, None])
     change = np.flatnonzero(np.diff(known.regime[number]))
@@ -348,7 +352,7 @@ def regime_map(
     names = typing.cast("tuple[str, str]", tuple(over))
     if len(names) != 2:
         raise ValueError(f"`over` must name two parameters, but names {len(names)}.")
-    counts = _counts(names, points)
+    counts, over = _counts(names, points), _ranges(scene, over)
     x, y = (even(n, over[n], count) for n, count in zip(names, counts, strict=True))
     known = _Known(scene, over, surface)
     number = np.full((len(y), len(x)), -1)

@@ -64,24 +64,16 @@ def scenarios_of(
     made = []
     for factors in _factors(uncertain, quantile):
         changes = {n: value_of(scene, n) * f for n, f in factors.items() if n not in names}
-        own = scene.replace(**changes)
+        own = scene.with_values(**changes)
         key = tuple(f for n, f in factors.items() if place_of(n)[:2] == ("membrane", "material"))
         given = surface if all(f == 1 for f in key) else None
         if "prestretch" in changes:
             key, given = (*key, changes["prestretch"]), surface if isinstance(surface, SurfaceFamily) else None
         if key not in surfaces:
             surfaces[key] = _on_surface(own, axes, factors, given)
-        own_factors = np.array([factors.get(n, 1.0) * _rescaled(scene, changes, n) for n in names])
+        own_factors = np.array([factors.get(n, 1.0) for n in names])
         made.append(Scenario(operated(own, margin), own, own_factors, surfaces[key], given))
     return made
-
-
-def _rescaled(scene: Scene, changes: dict, name: str) -> float:
-    """By how much another film changes the dimensionless number of a parameter that stays what it is in SI."""
-    if name in ("initial_volume", "initial_pressure"):  # a chamber has one of the two: the other may be optimised too
-        scene = scene.replace(**{name: 1.0})
-    before = value_of(scene, name)
-    return value_of(scene.replace(**changes), name) / before if before else 1.0
 
 
 def _factors(uncertain: dict, quantile: float | None) -> list[dict]:

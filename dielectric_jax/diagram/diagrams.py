@@ -393,7 +393,7 @@ def _flat_diagram(scene: Scene, limits, points: int, tolerance: float) -> Diagra
 def equilibrium(
     membrane: Membrane | Scene,
     *,
-    voltage: float = 0.0,
+    voltage: float | str = 0.0,
     pressure: float | None = None,
     volume: float | None = None,
     apex_stretch: float | None = None,
@@ -405,7 +405,8 @@ def equilibrium(
 ) -> typing.Any:
     """The equilibrium at a voltage and one of pressure, volume or apex stretch: the one of smallest volume, stable or not.
 
-    Of a `Scene` only the voltage is given: its loading says the rest, and the index is that under this loading. Of a membrane it is
+    Of a `Scene` only the voltage is given, in V or as a text such as "2 kV" where it carries units: its loading says the rest, and the
+    index is that under this loading. Of a membrane it is
     that of prescribed pressure. With `all=True` a list of every state in the window up to t = 0.9997, ordered by volume: beyond,
     folds go on without end.
     A `surface` of the membrane gives the starts inside its domain, which shooting makes exact; the explicit map the others. A
@@ -425,7 +426,9 @@ def equilibrium(
         for name, value in given.items():
             if value is not None:
                 raise ValueError(f"`{name}` must be left out with a Scene, which says it, but is {value!r}.")
-        states = _states_of_scene(membrane, float(as_scalar(voltage)), tolerance, surface, method)
+        states = _states_of_scene(
+            membrane, float(as_scalar(membrane.number_of("voltage", voltage))), tolerance, surface, method
+        )
     else:
         states = membrane_states(
             membrane, voltage=voltage, tolerance=tolerance, surface=surface, method=method, **typing.cast(dict, given)
@@ -436,6 +439,7 @@ def equilibrium(
 def _states_of_scene(scene: Scene, voltage: float, tolerance: float, surface, method) -> list[State]:
     """The states of a scene at a voltage, by volume."""
     check_positive("voltage", voltage, zero=True)
+    voltage = scene.dimensionless(voltage, "voltage")
     states = voltage_volume(scene, tolerance=tolerance, surface=surface, method=method).states_at(voltage)
     if not states:
         raise SceneError(Code.no_equilibrium)

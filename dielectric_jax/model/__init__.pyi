@@ -46,15 +46,16 @@ from .programs import jacobian_program, value_program
 from .quantities import VACUUM_PERMITTIVITY, example_units, is_unit_absolute, quantity, unit_size
 from .records import Branch, Event, Ramp, SpecialPoint, State, events_table, plain, points_table, voltage_of
 from .resolution import CHUNK, GRIDS, LARGEST_FIELD, LEAST_ESTIMATE, LOAD_PANELS, MOST_STEPS, SCALE, SCANNED_LOAD
-from .scene import Scene, Window, describe, doubt_of_vhb, pair
+from .scene import Scene, Window, describe, describe_in_units, doubt_of_vhb, pair
 from .scene_batch import LANES, Corrected, SceneBatch, calls, difficulty, load_fraction, locking_stretch, padded, pick
 from .shooting import UNKNOWNS, eighth_order_step, integrate_membrane, rim_with_sensitivities, shoot
 from .shooting_method import ShootingMethod, shooting_of
 from .stability import Stability, least_along, stability_of
-from .units import VHB_4910, Units, from_text, refuse_si
+from .units import ATMOSPHERE, VHB_4910, Units, from_text, refuse_dimensionless, refuse_si
 from .viscoelastic import FLOW, Maxwell, Unrelaxed, Viscoelastic, spring_and_branches
 
 __all__ = [
+    "ATMOSPHERE",
     "CHUNK",
     "FILM_MODES",
     "FLOW",
@@ -135,6 +136,7 @@ __all__ = [
     "control_of",
     "corrected_points",
     "describe",
+    "describe_in_units",
     "difficulty",
     "doubt_of_vhb",
     "eighth_order_step",
@@ -170,6 +172,7 @@ __all__ = [
     "points_table",
     "profile",
     "quantity",
+    "refuse_dimensionless",
     "refuse_si",
     "regimes_of",
     "require_float64",

@@ -39,10 +39,16 @@ from .materials import (
 from .membrane import Membrane
 from .parameters import PARAMETERS, parameter_of, place_of
 from .resolution import LARGEST_FIELD, SCANNED_LOAD, VHB_MODULI, VHB_PERMITTIVITIES
-from .units import Units, from_text, is_concrete, refuse_si
+from .units import Units, from_text, is_concrete, refuse_dimensionless
 from .viscoelastic import Maxwell, Viscoelastic, spring_and_branches
 
-__all__ = ["Scene", "Window", "describe", "doubt_of_vhb", "pair"]
+__all__ = ["Scene", "Window", "describe", "describe_in_units", "doubt_of_vhb", "pair"]
+
+
+_MEASURED = (
+    "pressure",
+    "volume",
+)  # kinds of parameters that are held dimensionless, and given in SI on a scene with units
 
 
 def constants_of(material) -> list[str]:
@@ -99,8 +105,8 @@ class Window(eqx.Module):
 class Scene(eqx.Module):
     """One membrane under one loading; `replace` changes parameters by their published names (`PARAMETERS`).
 
-    Its numbers are dimensionless. A scene that carries `units` knows what they mean in SI; `Scene.from_si` makes one from
-    a loading in SI.
+    Its fields hold dimensionless numbers. On a scene that carries `units`, parameters are given and returned in SI, by `replace`
+    as by sweeps, maps and designs; `Scene.from_si` makes one from a loading in SI.
 
     >>> scene = Scene(membrane=Membrane(), loading=Chamber(volume=1600.0, initial_volume=2.42))
     >>> float(scene.replace(chamber_volume=800.0).loading.volume)
@@ -157,22 +163,33 @@ class Scene(eqx.Module):
     def replace(self, **parameters) -> "Scene":
         """The scene with other values of the named parameters; setting one side of a filling clears the other.
 
-        With `units` a value may be a text with its unit, such as `chamber_volume="0.5 l"`. Parameters of the units are in SI, and what they change is the film: the loading and a constant breakdown field stay
-        what they are in SI, so that their dimensionless numbers change. All others are dimensionless, in the new units where
-        both are given: the order of the parameters does not matter. What looks like SI is refused. An entry of a list is
-        `moduli[0]`; `modulus_ratio` and `relaxation_time` are one number for each branch of a viscoelastic film,
-        `branches[0].stretch_limit` a constant of a branch's spring, and `stretch_limit` that of the equilibrium spring.
+        With `units` every pressure, volume and constant of the units is in SI: a number, or a text with a unit such as
+        `chamber_volume="0.5 l"`; a number that looks dimensionless is refused. Where the units change, the loading and a constant
+        breakdown field stay what they are in SI. Without `units` all numbers are dimensionless. The order of the parameters
+        does not matter. An entry of a list is `moduli[0]`; `modulus_ratio` and `relaxation_time` are one number for each branch of a
+        viscoelastic film, `branches[0].stretch_limit` a constant of a branch's spring, and `stretch_limit` that of the equilibrium
+        spring.
+
+        >>> chamber = Chamber(volume=18.225e-3, initial_volume=27.565e-6, atmospheric_pressure=100e3)
+        >>> scene = Scene.from_si(Membrane(), chamber).replace(chamber_volume="0.5 l")
+        >>> scene.value_of("chamber_volume"), round(float(scene.loading.volume), 9)
+        (0.0005, 43.895747599)
         """
-        scene = self
         if self.units is not None:
-            refuse_si(parameters, self.units)
+            refuse_dimensionless(parameters, self.units)
+        return self.with_values(**{name: self.number_of(name, value) for name, value in parameters.items()})
+
+    def with_values(self, **parameters) -> "Scene":
+        """`replace` for computing: numbers only, of any size."""
+        scene = self
         named = [pair for name, value in parameters.items() for pair in self._by_branches(name, value)]
         for name, value in sorted(named, key=lambda item: place_of(item[0])[0] != "units"):
             path = scene.path_of(name)
-            value = scene.number_of(name, value)
             if path[0] == "units":
                 scene = scene._in(_rebuild(scene.units, (), {name: value}))
                 continue
+            if parameter_of(name).kind in _MEASURED:
+                value = scene.dimensionless(value, name)
             changes = {path[-1]: value}
             other = {"initial_volume": "initial_pressure", "initial_pressure": "initial_volume"}.get(name)
             if other:
@@ -181,8 +198,21 @@ class Scene(eqx.Module):
         return scene
 
     def number_of(self, name: str, value: typing.Any) -> typing.Any:
-        """A value of a parameter as the scene holds it: a text with a unit, such as "0.5 l", becomes a number, dimensionless or of the units."""
-        return from_text(name, value, self.units) if isinstance(value, str) else value
+        """A value of a parameter, where it is a text with a unit as a number in SI; raises ValueError without `units`."""
+        if not isinstance(value, str):
+            return value
+        if self.units is None:
+            raise ValueError(f"`{name}` must be a number, because the scene carries no `units`, but is {shown(value)}.")
+        return from_text(name, value)
+
+    def in_units(self, value: typing.Any, name: str) -> typing.Any:
+        """A dimensionless number as the scene gives it: in SI where it carries `units`; `name` as in `Units.to_si`."""
+        return value if self.units is None else self.units.to_si(value, name)
+
+    def dimensionless(self, value: typing.Any, name: str) -> typing.Any:
+        """A number as the scene takes it, in SI where it carries `units`, or a text with a unit, made dimensionless."""
+        value = self.number_of(name, value)
+        return value if self.units is None else self.units.reduce(value, name)
 
     def has(self, name: str) -> bool:
         """Whether a parameter is one of this scene's."""
@@ -192,8 +222,12 @@ class Scene(eqx.Module):
             return False
 
     def value_of(self, name: str) -> typing.Any:
-        """The value of a parameter, a tuple of a list, None of the filling that another gives; raises ValueError as `path_of`."""
-        return _at(self, self.path_of(name))
+        """The value of a parameter, in SI with `units`; a tuple of a list, None of the filling that another gives.
+
+        Raises ValueError as `path_of`.
+        """
+        value = _at(self, self.path_of(name))
+        return self.in_units(value, name) if parameter_of(name).kind in _MEASURED else value
 
     def _by_branches(self, name: str, value) -> list[tuple[str, typing.Any]]:
         """A parameter of all branches as one of each."""
@@ -447,3 +481,9 @@ def describe(what: Scene | Membrane) -> dict:
     if control_of(scene.loading) == "charge":
         out["control"] = "charge"
     return out
+
+
+def describe_in_units(scene: Scene) -> dict:
+    """The beginning of a JSON document, "scene" and "units", with parameters as the scene gives them: in SI where it carries units."""
+    document = {"scene": describe(scene), "units": "dimensionless"}
+    return document if scene.units is None else scene.units.to_document(document)

@@ -20,7 +20,17 @@ from ..numerics import LARGEST, check_positive, shown
 from .parameters import PARAMETERS
 from .quantities import VACUUM_PERMITTIVITY, quantity
 
-__all__ = ["VHB_4910", "Scalar", "Units", "as_scalar", "from_text", "is_concrete", "refuse_si"]
+__all__ = [
+    "ATMOSPHERE",
+    "VHB_4910",
+    "Scalar",
+    "Units",
+    "as_scalar",
+    "from_text",
+    "is_concrete",
+    "refuse_dimensionless",
+    "refuse_si",
+]
 
 Scalar: typing.TypeAlias = typing.Any  # a number, or the array or tracer that stands for one
 
@@ -75,9 +85,18 @@ _USUAL = {
     "atmospheric_pressure": (1e-2, 5e3),
     "breakdown": (1e-2, 1e4),
 }
+# the usual ranges in SI: a larger chamber, or a pressure of less than 0.1 mbar, is rather a dimensionless number
+_USUAL_IN_SI = {
+    "chamber_volume": (0.0, 1.0),
+    "initial_volume": (0.0, 0.1),
+    "initial_pressure": (10.0, LARGEST),
+    "pressure": (10.0, LARGEST),
+    "atmospheric_pressure": (1e3, LARGEST),
+}
 # the constants of the units themselves, in SI wherever they stand
 _CONSTANTS = {row.name: row.kind for row in PARAMETERS.values() if row.path[0] == "units"}
 _DIMENSIONLESS_ATMOSPHERE = 50.0  # the default of a chamber
+ATMOSPHERE = 100e3  # Pa, the default of files and commands in SI: 50 μH/A for the membrane of the paper
 
 
 def is_concrete(value) -> bool:
@@ -97,7 +116,7 @@ def as_scalar(value: Scalar):
 
 def _constant(name: str) -> Callable:
     """A converter of a constant of the units: a number in SI, or a text with a unit such as "0.3 MPa"."""
-    return lambda value: as_scalar(from_text(name, value, None) if isinstance(value, str) else value)
+    return lambda value: as_scalar(from_text(name, value) if isinstance(value, str) else value)
 
 
 class Units(eqx.Module):
@@ -234,26 +253,21 @@ class Units(eqx.Module):
 _KINDS_OF_CONSTANTS = {"Pa": "stress", "m": "length", "F/m": "permittivity"}
 
 
-def from_text(name: str, text: str, units: Units | None) -> float:
-    """The number of a parameter or option that a text with a unit stands for: in SI of the units' constants, dimensionless of others.
+def from_text(name: str, text: str) -> float:
+    """The number in SI of a parameter that a text with a unit stands for, such as "0.5 l".
 
-    Raises ValueError for what is no number with a unit, and for a dimensionless number without `units`.
+    Raises ValueError for a parameter without unit, and for what is no number with its unit.
 
-    >>> round(from_text("chamber_volume", "18.225 l", Units()), 9), from_text("thickness", "0.2 mm", None)
-    (1600.0, 0.0002)
+    >>> from_text("chamber_volume", "18.225 l"), from_text("thickness", "0.2 mm")
+    (0.018225, 0.0002)
     """
     kind = "density" if name == "density" else _KINDS_OF_CONSTANTS.get(_CONSTANTS.get(name, ""), _KIND.get(name))
     if kind is None:
         raise ValueError(f"`{name}` must be a number, but is {shown(text)}.")
     try:
-        value = quantity(text, kind)
+        return quantity(text, kind)
     except ValueError as error:
         raise ValueError(f"`{name}` {error}") from None
-    if name == "density" or name in _CONSTANTS:
-        return value
-    if units is None:
-        raise ValueError(f"`{name}` must be a number, because the scene carries no `units`, but is {shown(text)}.")
-    return units.reduce(value, name)
 
 
 def refuse_si(given: Mapping[str, typing.Any], units: Units, *, least: int = 1) -> None:
@@ -266,14 +280,11 @@ def refuse_si(given: Mapping[str, typing.Any], units: Units, *, least: int = 1) 
     ValueError: `chamber_volume` must be dimensionless, but 0.018 looks like SI: 0.018 m³ would be 1580.25; `Units.from_si` converts it.
     """
     found = []
-    for name, (low, high) in _USUAL.items():
-        value = given.get(name)
-        if value is None or isinstance(value, str) or not (is_concrete(value) and is_concrete(units.scale(name))):
-            continue
-        size, scale = np.atleast_1d(np.asarray(value, float)), float(units.scale(name))
+    for name, size, scale in _concrete(given, units):
+        low, high = _USUAL[name]
         with np.errstate(all="ignore"):
             usual, usual_in_si = ((v >= low) & (v <= high) for v in (size, size / scale))
-        if size.size and (usual_in_si & ~usual).all():
+        if (usual_in_si & ~usual).all():
             found.append((name, float(size[0]), float(size[0]) / scale))
     if len(found) >= least:
         name, value, would_be = found[0]
@@ -281,6 +292,36 @@ def refuse_si(given: Mapping[str, typing.Any], units: Units, *, least: int = 1) 
             f"`{name}` must be dimensionless, but {value:g} looks like SI: {value:g} {Units.names()[name]} would be "
             f"{would_be:.6g}; `Units.from_si` converts it."
         )
+
+
+def refuse_dimensionless(given: Mapping[str, typing.Any], units: Units) -> None:
+    """Raises ValueError for numbers in SI, or lists of them, that are so far from usual sizes that they look dimensionless.
+
+    >>> refuse_dimensionless({"chamber_volume": 1600.0}, Units())
+    Traceback (most recent call last):
+    ValueError: `chamber_volume` must be in m³, because the scene carries units, but 1600 looks dimensionless: 1600 A³ would be 0.018225 m³.
+    """
+    for name, size, scale in _concrete(given, units):
+        low, high = _USUAL_IN_SI.get(name, (0.0, LARGEST))
+        doubtful = size[(size != 0) & ((size < low) | (size > high))]
+        if doubtful.size:
+            value, unit = float(doubtful[0]), Units.names()[name]
+            kind = {"volume": "A³", "pressure": "μH/A"}[_KIND[name]]
+            raise ValueError(
+                f"`{name}` must be in {unit}, because the scene carries units, but {value:g} looks dimensionless: "
+                f"{value:g} {kind} would be {value * scale:.6g} {unit}."
+            )
+
+
+def _concrete(given: Mapping[str, typing.Any], units: Units):
+    """The given quantities that have usual ranges, as arrays, with the scales of the units."""
+    for name in _USUAL:
+        value = given.get(name)
+        if value is None or isinstance(value, str) or not (is_concrete(value) and is_concrete(units.scale(name))):
+            continue
+        size = np.atleast_1d(np.asarray(value, float))
+        if size.size:
+            yield name, size, float(units.scale(name))
 
 
 def _read(name: str) -> tuple[str, float]:

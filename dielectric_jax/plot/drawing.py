@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..model import Branch, Event, PointKind, RampEvent, SpecialPoint, State
+from ..model import Branch, Event, PointKind, RampEvent, SpecialPoint, State, parameter_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,6 +29,7 @@ __all__ = [
     "line_entry",
     "new_axes",
     "new_figure",
+    "parameter_axis",
     "point_entries",
     "sequence",
     "viewed",
@@ -97,6 +98,19 @@ def axis_label(name: str, units: Any = None) -> str:
     words, dimensionless = _LABELS[name]
     unit = "" if units is None else units.read_name(name)
     return f"{words} / {unit}" if unit else dimensionless
+
+
+def parameter_axis(name: str, units: Any = None) -> tuple[str, float]:
+    """The label of a parameter's axis, and what its values are multiplied with to be in the unit of the label.
+
+    With `units` a pressure or a volume, which is then in SI, is shown as people read it, in mbar, ml or L.
+    """
+    row = parameter_of(name)
+    label, factor = row.label, 1.0
+    if units is not None and row.kind in ("pressure", "volume"):
+        label = f"{row.words} {row.symbol} / {units.read_name(name)}"
+        factor = units.read(1.0, name) / units.to_si(1.0, name)
+    return label[0].upper() + label[1:], float(factor)
 
 
 def voltage_text(voltage: float, units: Any = None) -> str:

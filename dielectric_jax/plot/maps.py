@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..model import REGIME_COLOURS, PointKind, Regime, parameter_of
+from ..model import REGIME_COLOURS, PointKind, Regime
+from .drawing import axis_label, parameter_axis
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,7 +35,9 @@ def plot_regime_map(data: Any, *, ax: Axes | None = None, designs: Any = (), leg
 
     ax = plt.subplots(figsize=(6.4, 4.8), layout="constrained")[1] if ax is None else ax
     assert ax is not None
-    x, y = data.values
+    units = data.scene.units
+    labels, factors = zip(*(parameter_axis(name, units) for name in data.names), strict=True)
+    x, y = (values * factor for values, factor in zip(data.values, factors, strict=True))
     codes = sorted(int(r) for r in Regime)
     colours = ListedColormap([REGIME_COLOURS[Regime(c)] for c in codes])
     norm = BoundaryNorm([c - 0.5 for c in codes] + [codes[-1] + 0.5], len(codes))
@@ -43,7 +46,7 @@ def plot_regime_map(data: Any, *, ax: Axes | None = None, designs: Any = (), leg
         if _logarithmic(values):
             scale("log")
     for curve in data.boundaries:
-        ax.plot(*curve.points.T, color="black", linewidth=1.0, solid_joinstyle="round")
+        ax.plot(*(curve.points * factors).T, color="black", linewidth=1.0, solid_joinstyle="round")
     small = []
     for code in np.unique(data.regimes):
         regime = Regime(int(code))
@@ -55,8 +58,8 @@ def plot_regime_map(data: Any, *, ax: Axes | None = None, designs: Any = (), leg
         else:
             small.append(Patch(facecolor=REGIME_COLOURS[regime], edgecolor="black", linewidth=0.5, label=regime.words))
     for point in designs:
-        ax.plot(*point, "*", color="black", markersize=12, markeredgecolor="white", zorder=5)
-    ax.set(xlabel=_words(data.names[0]), ylabel=_words(data.names[1]))
+        ax.plot(*(np.asarray(point) * factors), "*", color="black", markersize=12, markeredgecolor="white", zorder=5)
+    ax.set(xlabel=labels[0], ylabel=labels[1])
     ax.set_xlim(x[0], x[-1])
     ax.set_ylim(y[0], y[-1])
     if legend and small:
@@ -95,10 +98,13 @@ def plot_fold_curves(data: Any, *, ax: Axes | None = None, legend: bool = True) 
         "folds beyond breakdown": {"color": "#0072B2", "linewidth": 1.0, "linestyle": ":"},
         "electric breakdown": {"color": "#D55E00", "linewidth": 1.2},
     }
+    units = data.scene.units
+    label, factor = parameter_axis(data.parameter, units)
+    rise = 1.0 if units is None else units.read(1.0, data.control) / units.to_si(1.0, data.control)
     drawn = {}
     for curve in data.curves:
         x, pressure, voltage, ratio = curve.line.T
-        y = voltage if data.control == "voltage" else pressure
+        x, y = x * factor, rise * (voltage if data.control == "voltage" else pressure)
         if curve.kind == PointKind.breakdown:
             drawn["electric breakdown"] = ax.plot(x, y, **styles["electric breakdown"])[0]
             continue
@@ -111,27 +117,19 @@ def plot_fold_curves(data: Any, *, ax: Axes | None = None, legend: bool = True) 
     for kind, (marker, word) in _MARKS.items():
         points = data.named(kind)
         if points:
-            x, y = [p.parameter for p in points], [getattr(p, data.control) for p in points]
+            x, y = [factor * p.parameter for p in points], [rise * getattr(p, data.control) for p in points]
             style = {"color": "black", "markersize": 6, "clip_on": False, "zorder": 4}
             drawn[word] = ax.plot(x, y, marker, **style)[0]
-    low, high = data.within
+    low, high = (factor * v for v in data.within)
     if low > 0 and high / low > 10:
         ax.set_xscale("log")
     ax.set_xlim(low, high)
-    ax.set(xlabel=_words(data.parameter), ylabel=_CONTROLS[data.control])
+    ax.set(xlabel=label, ylabel=axis_label(data.control, units))
     if data.control == "voltage":
         ax.set_ylim(bottom=0)
     if legend and drawn:
         ax.legend([*drawn.values()], [*drawn], fontsize=8)
     return ax
-
-
-_CONTROLS = {"voltage": "Voltage Φ / (H √(μ/ε))", "pressure": "Pressure p A / (μH)"}
-
-
-def _words(name: str) -> str:
-    label = parameter_of(name).label
-    return label[0].upper() + label[1:]
 
 
 def _logarithmic(values: np.ndarray) -> bool:

@@ -3,7 +3,7 @@ from .films import FilmEvent, FilmRun, PullIn, film_stress, follow_film, pull_in
 from .following import bounds, follow
 from .passage_laws import SlowPassage, slow_passage
 from .protocols import AbstractProtocol, Hold, Ramp, Steps, Triangle
-from .runs import Run, RunEvent, Snap, estimate_errors
+from .runs import Run, RunEvent, Snap, converted, estimate_errors
 from .sweeping import InTime, RunOutcome, TimeRegime, regime_in_time
 
 __all__ = [
@@ -23,6 +23,7 @@ __all__ = [
     "TimeRegime",
     "Triangle",
     "bounds",
+    "converted",
     "delay",
     "estimate_errors",
     "film_stress",

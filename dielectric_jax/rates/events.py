@@ -151,18 +151,19 @@ def _given(scene: Scene, value, rate) -> Given:
         raise ValueError(f"`scene` must be a Scene, but is a {type(scene).__name__}.")
     if not isinstance(scene.loading, (Chamber, ConstantPressure)):
         raise other_loading(scene.loading, Chamber, ConstantPressure)
+    value, rate = (scene.dimensionless(v, "voltage") for v in (value, rate))
     return Given(scene.membrane, scene.loading, value, rate)
 
 
 def snap_voltage(scene: Scene, rate, *, start: str = "relaxed", tolerance: float = 1e-8):
-    """The voltage of the first instantaneous fold on a ramp Φ = `rate` t, dimensionless.
+    """The voltage of the first instantaneous fold on a ramp Φ = `rate` t: dimensionless, or in V on a scene with units.
 
     Differentiable by the rate and by every number of the scene, forwards and in reverse, once; under `jax.vmap` and `jax.jit`
     too. `follow` says what else happens on the way.
 
     Args:
         scene: a scene with a chamber or a constant pressure.
-        rate: dΦ/dt, in the unit of time of the relaxation times.
+        rate: dΦ/dt, in the unit of time of the relaxation times; its voltage in V on a scene with units.
         start: "relaxed" or "fresh", as in `follow`.
         tolerance: about the relative error of the value; derivatives have a few times it.
 
@@ -178,7 +179,8 @@ def snap_voltage(scene: Scene, rate, *, start: str = "relaxed", tolerance: float
     >>> round(float(value), 6), round(float(slope), 4)
     (0.146391, 2.5062)
     """
-    return rate * _number(_asked("snap", start, tolerance), _given(scene, 0.0, rate))
+    given = _given(scene, 0.0, rate)
+    return rate * _number(_asked("snap", start, tolerance), given)
 
 
 def delay(scene: Scene, voltage, *, start: str = "relaxed", tolerance: float = 1e-8):

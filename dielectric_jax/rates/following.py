@@ -13,7 +13,7 @@ from .programs import Seen
 from .protocols import Linear, Phase, document_of, legs_of, phases_of
 from .requests import serve
 from .resolution import LANDING_TOLERANCE, MESHES, MOST_JUMPS, TOLERANCE_SHARE, VOLUME_SCALE
-from .runs import Run, at_rest, dataset_of, event_of, slopes_of
+from .runs import Run, at_rest, converted, dataset_of, event_of, slopes_of
 
 __all__ = ["bounds", "follow"]
 
@@ -139,7 +139,8 @@ def follow(
 ) -> typing.Any:
     """Follows a viscoelastic membrane in time, balanced at every instant, from its state at zero voltage.
 
-    Everything is dimensionless, also of a scene with units, and times are in the unit of the relaxation times.
+    On a scene with units what is prescribed is in SI (V, m³, Pa). The run that comes back holds dimensionless numbers; `run.to_json(units)`
+    and the plots convert them. Times are in the unit of the relaxation times.
 
     Args:
         scene: the scene, or the membrane alone where its volume or pressure is prescribed; or a sequence, followed side by side.
@@ -192,10 +193,20 @@ def follow(
     asked = {"start": start, "until": duration, "tolerance": tolerance}
     runs = []
     for own, named in zip(scenes, zip(*given, strict=True), strict=True):
+        named = [_dimensionless(own, *row) for row in named]
         protocol = {name: said for name, _, said in named} | asked
         runs.append(_run_of(own, {name: legs for name, legs, _ in named}, protocol, MESHES[0], tolerance))
     found = serve(runs, keep_errors=not one)
     return found[0] if one else found
+
+
+def _dimensionless(scene: Scene | Membrane, name: str, legs: list, document: dict) -> tuple[str, list, dict]:
+    """Legs and document of a protocol that is given as the scene takes it."""
+    if not isinstance(scene, Scene) or scene.units is None:
+        return name, legs, document
+    factor = 1 / float(scene.units.scale(name))
+    made = [leg._replace(course=leg.course.times(factor)) for leg in legs]
+    return name, made, converted(document, lambda value: value * factor)
 
 
 def _run_of(scene, legs: dict, protocol: dict, mesh: tuple[int, int], tolerance: float) -> Asking[Run]:

@@ -38,14 +38,23 @@ class Linear(eqx.Module):
     def __call__(self, moment):
         return self.value + self.rate * (moment - self.origin)
 
+    def times(self, factor: float) -> "Linear":
+        """The course in another unit."""
+        return Linear(self.value * factor, self.rate * factor, self.origin)
+
 
 class Given(eqx.Module):
     """A user's function of time, written with jax.numpy."""
 
     function: Callable = eqx.field(static=True)
+    factor: float = 1.0
 
     def __call__(self, moment):
-        return jnp.asarray(self.function(moment), float)
+        return self.factor * jnp.asarray(self.function(moment), float)
+
+    def times(self, factor: float) -> "Given":
+        """The course in another unit."""
+        return Given(self.function, self.factor * factor)
 
 
 class Leg(typing.NamedTuple):

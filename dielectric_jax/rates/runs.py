@@ -26,6 +26,7 @@ __all__ = [
     "Snap",
     "at_rest",
     "at_start",
+    "converted",
     "dataset_of",
     "estimate_errors",
     "event_of",
@@ -223,7 +224,7 @@ class Run:
         if units is None:
             return plain(document)
         convert = units.read if read else units.to_si
-        told = {n: _in(v, functools.partial(convert, name=n)) for n, v in self.protocol.items()}
+        told = {n: converted(v, functools.partial(convert, name=n)) for n, v in self.protocol.items()}
         return units.to_document(plain(document), read=read) | {"protocol": plain(told)}
 
 
@@ -238,7 +239,7 @@ _UNBROKEN = ("at rest", "end of the protocol")
 _COMPARED = ("time", "voltage", "pressure", "volume")
 
 
-def _in(protocol: typing.Any, convert: typing.Callable[[float], float]) -> typing.Any:
+def converted(protocol: typing.Any, convert: typing.Callable[[float], float]) -> typing.Any:
     """A protocol with its values and rates converted; what is no protocol stays."""
     if not isinstance(protocol, dict):
         return protocol

@@ -103,7 +103,8 @@ class InTime:
     """An engine of `dj.sweep` that follows every scene in time under a ramp or a held voltage.
 
     Axes may be `rate`, dΦ/dt of a ramp from zero, or `held_voltage`, besides every parameter of the scene, the constants of its
-    branches included; what does not vary is given here. Everything is dimensionless, with times in the unit of the relaxation times.
+    branches included; what does not vary is given here. With `units` of the scene voltages are in V, else everything is dimensionless;
+    times are in the unit of the relaxation times.
 
     Args:
         rate: dΦ/dt of the ramp, where it is no axis.

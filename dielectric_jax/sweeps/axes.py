@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..model import PARAMETERS, Scene, parameter_of, place_of, refuse_si
+from ..model import PARAMETERS, Scene, parameter_of, place_of, refuse_dimensionless
 from ..numerics import LARGEST, check_whole, shown
 from .resolution import MOST_VALUES
 
@@ -179,7 +179,9 @@ class Design:
         if {"initial_volume", "initial_pressure"} <= seen:
             raise ValueError("`initial_volume` and `initial_pressure` must not both vary: each sets the filling.")
         if self.scene.units is not None:
-            refuse_si({n: column for axis in self.axes for n, column in axis.columns.items()}, self.scene.units)
+            refuse_dimensionless(
+                {n: column for axis in self.axes for n, column in axis.columns.items()}, self.scene.units
+            )
         for name in (name for axis in self.axes for name in axis.columns):
             if self.of_engine is None:
                 self.scene.check_varies(name)
@@ -244,7 +246,7 @@ class Design:
 
 
 def axes_of(parameters: Mapping[str, typing.Any], scene: Scene | None = None) -> tuple[Axis, ...]:
-    """One axis for each parameter, with the name of the parameter; texts with units are read by those of the scene."""
+    """One axis for each parameter, with the name of the parameter; texts with units as numbers in SI."""
 
     def numbers(name: str, values: typing.Any) -> typing.Any:
         given = isinstance(scene, Scene) and isinstance(values, (list, tuple))

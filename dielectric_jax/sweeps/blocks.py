@@ -21,12 +21,12 @@ from ..diagram import (
     pressure_ramps,
     voltage_volume,
 )
-from ..model import PARAMETERS, Chamber, ConstantPressure, Membrane, Regime, Scene, place_of
+from ..model import PARAMETERS, Chamber, ConstantPressure, Membrane, Regime, Scene, Units, place_of
 from ..numerics import SceneError, alone, enable_compilation_cache, enabled_folder
 from ..surface import Surface, SurfaceFamily
 from .engines import Engine, job_variables, parameters_of
 from .resolution import BLOCK_OF_CONTINUATION, BLOCK_OF_SURFACE, BLOCK_WITH_MORE, BLOCKS, MOST_SURFACES
-from .variables import Answer, Source, answer_of_diagram, answers_of, empty_answer, unanswered
+from .variables import Answer, Source, answer_of_diagram, answers_of, empty_answer, kinds_in_si, unanswered
 
 __all__ = ["Job", "compute_block", "surface_of"]
 
@@ -133,7 +133,7 @@ class _Block:
         self.of_engine = {name: columns[name] for name in parameters_of(job.engine) or () if name in columns}
         for which, values in _groups([n for n in columns if n not in self.of_engine], columns, self.count):
             try:
-                self.groups.append((which, job.scene.replace(**values)))
+                self.groups.append((which, job.scene.with_values(**values)))
             except ValueError:
                 self.answer["outcome"][which] = int(Answer.invalid_scene)
 
@@ -147,7 +147,7 @@ class _Block:
         places = {int(i): scene for own, scene in self.groups for i in np.intersect1d(own, which)}
         given = self.loadings(which)
         return [
-            places[int(i)].replace(**{name: float(column[k]) for name, column in given.items()})
+            places[int(i)].with_values(**{name: float(column[k]) for name, column in given.items()})
             for k, i in enumerate(which)
         ]
 
@@ -198,6 +198,14 @@ class _Block:
         for i in which:
             self.halved(compute, np.array([i]))
 
+    def in_units(self) -> dict[str, np.ndarray]:
+        """The results, in SI where the scenes carry units, each scene's own."""
+        kinds = kinds_in_si(job_variables(self.job.engine, self.job.curves, bool(self.job.modes)))
+        for which, scene in self.groups if self.job.scene.units is not None else ():
+            for name, kind in kinds.items():
+                self.answer[name][which] *= float(typing.cast(Units, scene.units).scale(kind))
+        return self.answer
+
     def left(self) -> np.ndarray:
         """The scenes that no engine has decided so far."""
         ended = np.isin(self.answer["outcome"], [int(Answer.unresolved), int(Answer.breakdown_on_branch)])
@@ -228,7 +236,7 @@ def compute_block(job: Job, columns: dict[str, np.ndarray]) -> dict[str, np.ndar
         if job.engine == "surface":
             block.by_continuation(block.left())
         block.by_diagrams(block.left())
-    return block.answer
+    return block.in_units()
 
 
 def _on_surface(job: Job, scene: Scene, loadings: dict, count: int) -> dict[str, np.ndarray]:
@@ -280,7 +288,8 @@ def _columns_of(scene: Scene, loadings: dict, count: int) -> dict[str, typing.An
         value = loadings.get(name, getattr(loading, place_of(name)[-1]))
         if value is None or (filled and name.startswith("initial_") and name not in filled):
             continue
-        found[name] = np.broadcast_to(np.asarray(value, float), (count,))
+        column = np.broadcast_to(np.asarray(value, float), (count,))
+        found[name] = column if name not in loadings or scene.units is None else scene.units.reduce(column, name)
     if isinstance(loading, ConstantPressure):
         return {"pressure": found["pressure"]}
     return found

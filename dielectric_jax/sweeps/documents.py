@@ -2,12 +2,14 @@
 
 import dataclasses
 import os
+import re
 import tomllib
 import typing
 
 import numpy as np
 
 from ..model import (
+    ATMOSPHERE,
     PARAMETERS,
     VACUUM_PERMITTIVITY,
     ArrudaBoyce,
@@ -28,13 +30,14 @@ from ..model import (
     from_text,
     parameter_of,
     place_of,
+    refuse_dimensionless,
     refuse_si,
 )
 from ..numerics import LARGEST, check_whole, shown
 from .resolution import MOST_VALUES
 
 __all__ = [
-    "check_dimensionless",
+    "check_sizes",
     "number",
     "one_of",
     "other_filling_left_out",
@@ -71,38 +74,42 @@ def read_toml(path: str | os.PathLike) -> dict[str, typing.Any]:
 
 
 def _in_numbers(document: dict[str, typing.Any]) -> dict[str, typing.Any]:
-    """The document with its texts with units, such as "0.5 l", as numbers: in SI in [units], dimensionless elsewhere."""
+    """The document with its texts with units, such as "0.5 l", as numbers in SI."""
     made = dict(document)
-    units = None
     if isinstance(document.get("units"), dict):
-        own = {n: from_text(n, v, None) if isinstance(v, str) else v for n, v in document["units"].items()}
+        own = {n: from_text(n, v) if isinstance(v, str) else v for n, v in document["units"].items()}
         if "relative_permittivity" in own:
             if "permittivity" in own:
                 raise ValueError("`permittivity` or `relative_permittivity` must be given in [units], but both are.")
             relative = number("units", "relative_permittivity", own.pop("relative_permittivity"))
             own["permittivity"] = relative * VACUUM_PERMITTIVITY
         made["units"] = own
-        known = [n for n, row in PARAMETERS.items() if row.path[0] == "units"]
-        units = Units(**{n: number("units", n, v) for n, v in own.items() if n in known}) if own else None
+    in_si = bool(made.get("units"))
     for name in ("scene", "product", "over"):
         if isinstance(document.get(name), dict):
-            made[name] = {n: _number_in(n, v, units) for n, v in document[name].items()}
+            made[name] = {n: _number_in(n, v, in_si) for n, v in document[name].items()}
     if isinstance(document.get("zip"), dict):
         made["zip"] = {
-            d: {n: _number_in(n, v, units) for n, v in columns.items()} if isinstance(columns, dict) else columns
+            d: {n: _number_in(n, v, in_si) for n, v in columns.items()} if isinstance(columns, dict) else columns
             for d, columns in document["zip"].items()
         }
     return made
 
 
-def _number_in(name: str, value: typing.Any, units: Units | None) -> typing.Any:
+def _number_in(name: str, value: typing.Any, in_si: bool) -> typing.Any:
     """A value, or the values of a list or range, with texts with units as numbers; what is no quantity stays as it is."""
     if isinstance(value, list):
-        return [_number_in(name, v, units) for v in value]
+        return [_number_in(name, v, in_si) for v in value]
     if isinstance(value, dict):
-        return {key: _number_in(name, v, units) if key in ("from", "to") else v for key, v in value.items()}
-    known = name in PARAMETERS or (name == "breakdown" and value != "vhb")
-    return from_text(name, value, units) if isinstance(value, str) and known else value
+        return {key: _number_in(name, v, in_si) if key in ("from", "to") else v for key, v in value.items()}
+    if not (
+        isinstance(value, str) and re.match(r"\s*[+-]?\.?\d", value) and (name in PARAMETERS or name == "breakdown")
+    ):
+        return value
+    number_of_text = from_text(name, value)
+    if not in_si:
+        raise ValueError(f"`{name}` must be a number where there is no [units] table, but is {shown(value)}.")
+    return number_of_text
 
 
 def refuse(where: str, given: typing.Iterable[str], allowed: typing.Iterable[str]) -> None:
@@ -195,8 +202,8 @@ def scene_of(given: dict[str, typing.Any], constants: dict[str, typing.Any] | No
 
     A viscoelastic material has an `elastic` spring, whose constants stand beside it, and `branches`, a list of tables with
     `modulus_ratio`, `relaxation_time` and their own `material` and constants. `constants` (shear_modulus, thickness, radius,
-    permittivity, in SI) are those of the units that the scene carries; its other numbers are dimensionless nevertheless. Without
-    them this is the inverse of `describe`. Raises ValueError for names that a scene does not have.
+    permittivity, in SI) are those of the units that the scene carries; then its pressures, its volumes and a breakdown field are in SI
+    too. Without them this is the inverse of `describe`. Raises ValueError for names that a scene does not have.
 
     >>> scene = scene_of({"material": "neo-hookean", "pressure": 1.5, "prestretch": 1.2})
     >>> float(scene.loading.pressure), float(scene.membrane.prestretch)
@@ -221,10 +228,6 @@ def scene_of(given: dict[str, typing.Any], constants: dict[str, typing.Any] | No
     constants = {} if constants is None else constants
     refuse("units", constants, [n for n, row in PARAMETERS.items() if row.path[0] == "units"])
     units = Units(**{n: number("units", n, v) for n, v in constants.items()}) if constants else None
-    if field and units is not None:
-        refuse_si({"breakdown": field[0]}, units)
-    if not field and units is not None:
-        parts["breakdown"] |= {n: getattr(units, n) for n in ("shear_modulus", "relative_permittivity")}
     law = (ConstantBreakdown if field else VHBBreakdown)(*field, **parts["breakdown"])
     membrane = Membrane(_film(given, parts["material"]), breakdown=law, **parts["membrane"])
     loading = parts["loading"]
@@ -233,9 +236,12 @@ def scene_of(given: dict[str, typing.Any], constants: dict[str, typing.Any] | No
     if "pressure" in loading and len(loading) > 1:
         raise ValueError("`pressure` must be given without the parameters of a chamber, but some are given.")
     window = Window(*(_pair(name, given.get(name)) for name in ("stretch_window", "load_window")))
-    if "pressure" in loading:
-        return Scene(membrane, ConstantPressure(loading["pressure"]), window, units)
-    return Scene(membrane, Chamber(**typing.cast(typing.Any, loading)), window, units)
+    if units is not None and "volume" in loading:
+        loading = {"atmospheric_pressure": ATMOSPHERE} | loading
+    made = (
+        ConstantPressure(loading["pressure"]) if "pressure" in loading else Chamber(**typing.cast(typing.Any, loading))
+    )
+    return Scene(membrane, made, window) if units is None else Scene.from_si(membrane, made, units, window=window)
 
 
 def other_filling_left_out(given: dict[str, typing.Any], varied: typing.Iterable[str]) -> dict[str, typing.Any]:
@@ -250,14 +256,17 @@ def other_filling_left_out(given: dict[str, typing.Any], varied: typing.Iterable
     return {name: value for name, value in given.items() if name not in left_out}
 
 
-def check_dimensionless(given: dict[str, typing.Any], constants: dict[str, typing.Any]) -> None:
-    """Refuses numbers of a scene, or lists of them, that look like SI: the documents are dimensionless.
+def check_sizes(given: dict[str, typing.Any], constants: dict[str, typing.Any]) -> None:
+    """Refuses numbers of a scene, or lists of them, that are not in the unit of the document.
 
-    With `constants` of units, which suggest SI, one such number is enough; without them two are needed, judged by the membrane
-    of the paper.
+    With `constants` of units the document is in SI, and one number that looks dimensionless is enough; without them it is
+    dimensionless, and two that look like SI are needed, judged by the membrane of the paper.
     """
     units = Units(**{n: number("units", n, v) for n, v in constants.items()})
-    refuse_si(given, units, least=1 if constants else 2)
+    if constants:
+        refuse_dimensionless(given, units)
+    else:
+        refuse_si(given, units, least=2)
 
 
 def values(where: str, name: str, given: typing.Any) -> np.ndarray:

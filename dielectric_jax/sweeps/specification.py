@@ -11,7 +11,7 @@ from ..model import Scene, place_of
 from ..numerics import shown, whole_range
 from .axes import Axis, axes_of, read_scenes, samples, zipped
 from .documents import (
-    check_dimensionless,
+    check_sizes,
     number,
     one_of,
     other_filling_left_out,
@@ -140,21 +140,7 @@ def read_specification(
     if of_units and not constants:
         raise ValueError(f"`{of_units[0]}` must have a [units] table of the scene's own constants, but there is none.")
     scene = scene_of(given | {n: v for n, v in varied.items() if n not in of_units}, constants)
-    check_dimensionless(given | columns, constants)
+    check_sizes(given | columns, constants)
     for name in columns.keys() - varied.keys() if engine is None else ():
         scene.check_varies(name)
-    scaled = [n for n in varied if place_of(n)[0] == "loading" and _changes_with(n, of_units, scene)]
-    if scaled:
-        raise ValueError(
-            f"`{scaled[0]}` must not vary together with `{of_units[0]}`, which changes the unit it is counted in; give it in "
-            "[scene], where it keeps its size in SI."
-        )
     return scene, axes, options
-
-
-def _changes_with(name: str, of_units: list[str], scene: Scene) -> bool:
-    """Whether the unit of a quantity depends on any of these constants of [units]."""
-    units = scene.units
-    return units is not None and any(
-        dataclasses.replace(units, **{n: 2 * getattr(units, n)}).scale(name) != units.scale(name) for n in of_units
-    )

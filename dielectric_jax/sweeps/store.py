@@ -20,7 +20,7 @@ from ..model import parameter_of
 from ..numerics import Locked, StoreError, alone
 from .axes import Design
 from .resolution import LONGEST_CHUNK
-from .variables import Variable, described
+from .variables import Variable, described, described_in_si
 
 __all__ = ["Memory", "ZarrStore", "need", "open_group"]
 
@@ -51,7 +51,10 @@ def coordinates_of(design: Design) -> dict[str, tuple[str, np.ndarray, dict]]:
     found: dict = {}
     for axis in design.axes:
         for name, values in axis.columns.items():
-            found[name] = axis.dimension, values, described(parameter_of(name).words, parameter_of(name).unit)
+            attributes = described(parameter_of(name).words, parameter_of(name).unit)
+            if design.scene.units is not None:
+                attributes = described_in_si(attributes)
+            found[name] = axis.dimension, values, attributes
         if axis.dimension not in axis.columns:
             found[axis.dimension] = (
                 axis.dimension,

@@ -29,7 +29,7 @@ from .engines import Engine, check_engine, job_variables, parameters_of
 from .executors import Progress, executor_of, run_blocks
 from .resolution import FAMILY_FROM, MOST_BLOCKS
 from .store import Memory, ZarrStore, need, open_group
-from .variables import Answer
+from .variables import Answer, described_in_si
 
 __all__ = ["open_sweep", "sweep"]
 
@@ -103,6 +103,8 @@ def sweep(
     if isinstance(executor, int) and executor is not True:
         _check_pickle(job)
     variables = job_variables(engine, curves, bool(numbers))
+    if scene.units is not None:
+        variables = [dataclasses.replace(v, attributes=described_in_si(v.attributes)) for v in variables]
     _check_names(design, variables)
     attributes = _attributes(design, job)
     path = None if output is None else pathlib.Path(output)

@@ -112,6 +112,13 @@ _QUANTITIES = {
 _ERROR = "bound of the relative error |error|/max(|value|, 1e-3) of the volume and of the squared voltage"
 
 _SI = ("Pa", "m", "F m-1")
+#: units of dimensionless numbers: the unit in SI, and the quantity whose scale is between them
+_IN_SI = {
+    "mu H / A": ("Pa", "pressure"),
+    "A^3": ("m3", "volume"),
+    "H sqrt(mu / epsilon)": ("V", "voltage"),
+    "H^2 mu / epsilon": ("V2", "voltage_squared"),
+}
 
 
 def described(long_name: str, unit: str, **more) -> dict[str, typing.Any]:
@@ -119,6 +126,20 @@ def described(long_name: str, unit: str, **more) -> dict[str, typing.Any]:
     if unit in _SI:
         return {"long_name": long_name, "units": unit, **more}
     return {"long_name": long_name, "units": "1", "counted_in": unit, **more}
+
+
+def described_in_si(attributes: dict[str, typing.Any]) -> dict[str, typing.Any]:
+    """The attributes of a quantity that is converted to SI."""
+    unit = _IN_SI.get(attributes.get("counted_in", ""))
+    if unit is None:
+        return attributes
+    return {n: unit[0] if n == "units" else v for n, v in attributes.items() if n != "counted_in"}
+
+
+def kinds_in_si(variables: list["Variable"]) -> dict[str, str]:
+    """The quantities of the variables that have a unit in SI, by their names."""
+    counted = {v.name: v.attributes.get("counted_in", "") for v in variables}
+    return {name: _IN_SI[unit][1] for name, unit in counted.items() if unit in _IN_SI}
 
 
 def flags_of(name: str) -> dict[str, typing.Any]:

@@ -95,7 +95,9 @@ def test_the_table_and_several_rates(capsys, monkeypatch, tmp_path):
     monkeypatch.setattr(requests, "RUNS_TOGETHER", 1)
     spec = changed(
         tmp_path,
-        ("rate = 0.01 #", "rate = [0.001, 0.01] #"),
+        # 0.001 and 0.01 of H√(μ/ε) = 32884.22 V
+        ("rate = 0.01 #", "rate = [32.88422182, 328.8422182] #"),
+        (CHAMBER, 'chamber_volume = "18.225 l"\ninitial_volume = "27.5653125 ml"'),
         ("tolerance = 1e-6", "check = false"),
         ("[[scene", "[units]\nthickness = 1e-3\n[[scene"),
     )

@@ -108,19 +108,103 @@ def test_a_constant_field_is_in_volts_a_metre():
 @pytest.mark.parametrize(
     "ask",
     [
-        lambda made: made.replace(chamber_volume=18e-3),
-        lambda made: dj.sweep(made, chamber_volume=[10e-3, 18e-3], progress=False),
-        lambda made: dj.sweep(made, chamber_volume=[18e-3], engine="continuation", progress=False),
-        lambda made: dj.classify_designs(made, {"atmospheric_pressure": [90e3, 100e3]}),
+        lambda made: made.replace(chamber_volume=1600.0),
+        lambda made: made.replace(atmospheric_pressure=50.0),
+        lambda made: dj.sweep(made, chamber_volume=[800.0, 1600.0], progress=False),
+        lambda made: dj.sweep(made, initial_volume=[2.42], engine="continuation", progress=False),
+        lambda made: dj.classify_designs(made, {"atmospheric_pressure": [40.0, 50.0]}),
         lambda made: dj.regime_map(made, {"chamber_volume": (5e-3, 20e-3), "initial_volume": (1.0, 2.0)}),
-        lambda made: dj.maximise_area_strain(made, over={"chamber_volume": (5e-3, 20e-3)}),
-        lambda made: dj.fold_curves(made, "initial_volume", (5e-6, 20e-6)),
-        lambda made: dj.design.regime_edges(made, {"chamber_volume": (5e-3, 20e-3)}),
+        lambda made: dj.maximise_area_strain(made, over={"chamber_volume": (500.0, 2000.0)}),
+        lambda made: dj.fold_curves(made, "initial_volume", (1.0, 2.0)),
+        lambda made: dj.design.regime_edges(made, {"initial_pressure": (1.0, 1.8)}),
     ],
 )
-def test_a_number_that_looks_like_si_is_refused_everywhere(ask):
-    with pytest.raises(ValueError, match=r"must be dimensionless, but .* looks like SI"):
+def test_a_number_that_looks_dimensionless_is_refused_everywhere(ask):
+    with pytest.raises(
+        ValueError, match=r"must be in (m³|Pa), because the scene carries units, but .* looks dimensionless"
+    ):
         ask(scene())
+
+
+def test_texts_with_units():
+    made = scene().replace(chamber_volume="18.225 l", initial_volume="27.565 ml", atmospheric_pressure="1 bar")
+    assert float(made.loading.volume) == pytest.approx(1600.0, rel=1e-13)
+    assert made.value_of("atmospheric_pressure") == pytest.approx(100e3, rel=1e-14)
+    thin = made.replace(thickness="0.5 mm", shear_modulus="68 kPa", permittivity="4.7 eps0")
+    assert float(thin.units.thickness) == 0.5e-3 and float(thin.units.permittivity) == pytest.approx(EPSILON, rel=1e-14)
+    assert thin.value_of("chamber_volume") == pytest.approx(18.225e-3, rel=1e-13)
+    assert dj.Units(radius="22.5 mm", density="1 g/cm3").density == 1000.0
+    for message, ask in [
+        (r"`chamber_volume` must be a number with a unit such as m³, L, ml.*, but is '3 kV'", lambda: made.replace(chamber_volume="3 kV")),
+        (r"`prestretch` must be a number, but is '1 mm'", lambda: made.replace(prestretch="1 mm")),
+        (r"`chamber_volume` must be a number, because the scene carries no `units`", lambda: FREE.replace(chamber_volume="1 l")),
+        (r"`thickness` must be a number with a unit such as m, cm, mm", lambda: dj.Units(thickness="0.2")),
+        (r"`initial_pressure` must be a number with a unit .* but is '3 bar\(a\)'", lambda: made.replace(initial_pressure="3 bar(a)")),
+    ]:  # fmt: skip
+        with pytest.raises(ValueError, match=message):
+            ask()
+
+
+FREE = dj.Scene(dj.Membrane(), dj.Chamber(volume=1600.0, initial_volume=2.42))
+
+
+def test_a_scene_in_si_gives_the_same_answers_in_si():
+    """Every verb, in m³, Pa and V, against the same question without units."""
+    made = dj.Scene.from_si(dj.Membrane(), dj.Units().to_si(FREE.loading))
+    volumes = np.array([800.0, 1600.0])
+    assert made.value_of("chamber_volume") == pytest.approx(1600 * VOLUME, rel=1e-14)
+    assert float(dj.snap_voltage(made)) == pytest.approx(SNAP * VOLTAGE, rel=1e-10)
+    slope = jax.grad(lambda volume: dj.snap_voltage(made.replace(chamber_volume=volume)))(1600 * VOLUME)
+    assert float(slope) == pytest.approx(-1.27029e-5 * VOLTAGE / VOLUME, rel=1e-6)
+    assert float(dj.critical.breakdown_voltage(made)) == pytest.approx(BREAKDOWN * VOLTAGE, rel=1e-10)
+    onset = float(dj.critical.bistability_onset(made))
+    assert onset == pytest.approx(1455.896262 * VOLUME, rel=1e-9)
+    for engine in ("surface", "continuation"):
+        data = dj.sweep(made, chamber_volume=volumes * VOLUME, engine=engine, progress=False)
+        assert data.snap_voltage[:, 0].values == pytest.approx(np.array([0.097199007, SNAP]) * VOLTAGE, rel=1e-8)
+        assert data.start_volume.values == pytest.approx(2.42 * VOLUME, rel=1e-9)
+        assert data.chamber_volume.attrs["units"] == data.start_volume.attrs["units"] == "m3"
+        assert data.snap_voltage.attrs["units"] == "V" and "counted_in" not in data.snap_voltage.attrs
+        assert data.snap_pressure.attrs["units"] == "Pa" and data.area_strain.attrs["units"] == "1"
+    found = dj.classify_designs(made, {"chamber_volume": np.array([460.0, 475.0, 500.0, 1600.0]) * VOLUME})
+    assert [dj.Regime(int(r)).name for r in found.regime] == ["breaks_in_snap", "returns", "no_snap", "stays"]
+    edges = dj.design.regime_edges(made, {"chamber_volume": ("15 l", "20 l")}, points=40)
+    assert [e.value for e in edges] == pytest.approx([onset], rel=1e-8)
+    curves = dj.fold_curves(made, "chamber_volume", (450 * VOLUME, 600 * VOLUME), kinds=("fold",), samples=3)
+    cusps = [p.parameter for p in curves.named("cusp")]
+    assert cusps == pytest.approx([484.04966 * VOLUME, 551.39914 * VOLUME], rel=1e-6)
+    assert curves.plot().get_xlabel() == "Chamber volume V_C / L"
+    state = dj.equilibrium(made, voltage="2 kV")
+    assert state.volume == dj.equilibrium(made, voltage=2e3).volume
+    assert state.volume == pytest.approx(dj.equilibrium(FREE, voltage=2e3 / VOLTAGE).volume, rel=1e-9)
+
+
+def test_films_of_other_thickness_keep_what_is_given_in_si():
+    """A sweep over thickness and chamber in SI: every scene is that of its own units."""
+    made = dj.Scene.from_si(dj.Membrane(), dj.Units().to_si(FREE.loading))
+    given = {"thickness": [0.8e-3, 1e-3], "chamber_volume": [0.012, 0.018]}
+    data = dj.sweep(made, **given, progress=False)
+    for thickness, volume in itertools.product(*given.values()):
+        own = dj.Scene.from_si(
+            dj.Membrane(), dj.Chamber(volume, 2.42 * VOLUME, atmospheric_pressure=100e3), dj.Units(thickness=thickness)
+        )
+        one = data.sel(thickness=thickness, chamber_volume=volume)
+        assert float(one.snap_voltage[0]) == pytest.approx(float(dj.snap_voltage(own)), rel=1e-8)
+
+
+def test_designs_in_si():
+    made = dj.Scene.from_si(dj.Membrane(), dj.Units().to_si(FREE.loading))
+    ranges = {"chamber_volume": (500.0, 25000.0)}
+    one = dj.maximise_area_strain(FREE, ranges, survival_margin=0.2, compare=0)
+    other = dj.maximise_area_strain(
+        made, {"chamber_volume": ("5.6953125 l", "284.765625 l")}, survival_margin=0.2, compare=0
+    )
+    assert other.parameters["chamber_volume"] == pytest.approx(one.parameters["chamber_volume"] * VOLUME, rel=1e-8)
+    assert other.area_strain == pytest.approx(one.area_strain, rel=1e-9) and other.active == one.active
+    document = other.to_json()
+    assert document["units"] == "SI" and document["scene"]["chamber_volume"] == pytest.approx(
+        other.parameters["chamber_volume"], rel=1e-12
+    )
 
 
 def test_the_law_of_vhb_is_doubted_for_other_films():
@@ -215,12 +299,13 @@ def test_ensembles_convert_too():
 def test_the_order_of_parameters_does_not_matter():
     chamber = dj.Chamber(volume=0.018, initial_volume=27e-6, atmospheric_pressure=100e3)
     scene = dj.Scene.from_si(dj.Membrane(), chamber, dj.Units())
-    new = {"shear_modulus": 90e3, "chamber_volume": 2000.0, "atmospheric_pressure": 10.0}
+    new = {"shear_modulus": 90e3, "chamber_volume": 0.02, "atmospheric_pressure": 80e3}
     for names in itertools.permutations(new):
         found = scene.replace(**{name: new[name] for name in names})
         assert found.units.shear_modulus == 90e3
-        # 2000 A³ and 10 μ H/A of the new modulus; the filling in SI is as before
-        assert found.loading.volume == 2000.0 and found.loading.atmospheric_pressure == 10.0
+        # counted in the new modulus; the filling in SI is as before
+        assert found.loading.volume * A**3 == pytest.approx(0.02, rel=1e-14)
+        assert found.loading.atmospheric_pressure * 2 * PRESSURE == pytest.approx(80e3, rel=1e-14)
         assert found.loading.initial_volume * A**3 == pytest.approx(27e-6, rel=1e-14)
 
 
