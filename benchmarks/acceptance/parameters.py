@@ -26,7 +26,7 @@ from dielectric_jax.apps.design_files import read_design_file
 from dielectric_jax.apps.options import MATERIAL_CONSTANTS, BadInput, read_arguments
 from dielectric_jax.design import regime_edges
 from dielectric_jax.diagram import MembraneKey
-from dielectric_jax.model import PARAMETERS, Change, CustomBreakdown, change_of, describe, parameter_of
+from dielectric_jax.model import PARAMETERS, Change, CustomBreakdown, change_of, describe_in_units, parameter_of
 from dielectric_jax.sweeps import read_specification, scene_of
 
 jax.config.update("jax_enable_x64", True)
@@ -127,9 +127,14 @@ def scenes() -> dict[str, dj.Scene]:
     return made
 
 
+def described(scene: dj.Scene) -> dict:
+    """The parameters of a scene as it gives them."""
+    return describe_in_units(scene)["scene"]
+
+
 def numbers_of(scene: dj.Scene) -> dict:
-    """The description of a scene with those of its branches under their published names."""
-    said = describe(scene)
+    """The description of a scene, in SI with units, with those of its branches under their published names."""
+    said = described(scene)
     branches = said.pop("branches", [])
     for name in ("modulus_ratio", "relaxation_time") if branches else ():
         said[name] = [own.pop(name) for own in branches]
@@ -146,7 +151,7 @@ def limits_of(scene: dj.Scene, name: str) -> tuple[float, float]:
     if not scene.has(name):
         return 1.5, 2.5
     value = value_of(scene, name)
-    value = {"initial_volume": 2.3, "initial_pressure": 1.5}[name] if value is None else value
+    value = scene.in_units({"initial_volume": 2.3, "initial_pressure": 1.5}[name], name) if value is None else value
     low, high = sorted(share * float(np.atleast_1d(value)[0]) for share in (0.97, 1.04))
     return (low, high) if math.isinf(parameter_of(name).least) else (max(low, parameter_of(name).least), high)
 
@@ -174,7 +179,7 @@ def regime_of(scene: dj.Scene) -> dj.Regime:
 def snap_of(scene: dj.Scene) -> float:
     """The voltage of the first snap of the diagram's ramp, NaN where there is none."""
     snaps = diagram_of(scene).ramp()["snap"]
-    return snaps[0].state.voltage if snaps else math.nan
+    return scene.in_units(snaps[0].state.voltage, "voltage") if snaps else math.nan
 
 
 class Differs(Exception):
@@ -215,9 +220,17 @@ def replaced(scene, name, limits) -> float:
     return apart
 
 
+def compare_scenes(found: dj.Scene, known: dj.Scene) -> float:
+    """The largest difference of the parameters of two scenes; a round trip through SI rounds."""
+    mine, other = described(found), described(known)
+    tolerance = 0.0 if known.units is None else 1e-14
+    compare("the names", list(mine), list(other))
+    return max(compare(n, np.float64(v) if isinstance(v, float) else v, other[n], tolerance) for n, v in mine.items())
+
+
 def _parts(scene: dj.Scene) -> tuple[dict, dict]:
     """The description of a scene, and its constants of the units apart."""
-    said = describe(scene)
+    said = described(scene)
     return {n: v for n, v in said.items() if n not in UNITS}, {n: v for n, v in said.items() if n in UNITS}
 
 
@@ -225,7 +238,7 @@ def documented(scene, name, limits) -> float:
     """`describe` and back by `scene_of`."""
     many = parameter_of(name).many
     changed = scene.replace(**{name: (limits[1], *value_of(scene, name)[1:]) if many else limits[1]})
-    return compare("the scene", describe(scene_of(*_parts(changed))), describe(changed))
+    return compare_scenes(scene_of(*_parts(changed)), changed)
 
 
 def _value(value) -> str:
@@ -248,16 +261,16 @@ def written(scene, name, limits) -> float:
         path = pathlib.Path(folder) / "spec.toml"
         path.write_text(_toml(scene, "[product]", f"{key} = {list(limits)}"), encoding="utf-8")
         made, axes, _ = read_specification(path)
-        wanted = describe(scene.replace(**{name: limits[1]}))
+        wanted = scene.replace(**{name: limits[1]})
         compare("the axis", axes[0].columns[name].tolist(), list(limits))
-        compare("the scene", describe(made.replace(**{name: limits[1]})), wanted)
+        compare_scenes(made.replace(**{name: limits[1]}), wanted)
         for command in ("regimes", "optimise"):
             tables = "[over]", f"{key} = {list(limits)}"
             path.write_text(_toml(scene, *tables, *(("[uncertain]", f"{key} = 0.1") if command == "optimise" else ())), encoding="utf-8")  # fmt: skip
             made, over, options = read_design_file(str(path), command)
             compare("the range", over, {name: limits})
             compare("what is uncertain", options.get("uncertain"), {name: 0.1} if command == "optimise" else None)
-            compare("the scene", describe(made.replace(**{name: limits[1]})), wanted)
+            compare_scenes(made.replace(**{name: limits[1]}), wanted)
     return 0.0
 
 
@@ -403,7 +416,7 @@ def followed(scene, name, limits) -> float:
     for value, own in zip(limits, at(scene, name, limits), strict=True):
         if isinstance(own.loading, dj.ConstantVoltage):
             column = "pressure"
-            known = float(dj.critical.pressure_peak(own.membrane, float(own.loading.voltage)).pressure)
+            known = float(dj.critical.pressure_peak(own.membrane, float(own.loading.voltage)).pressure)  # without units
         else:
             column, known = "voltage", snap_of(own)
         ends = [getattr(c, column)[np.abs(c.parameter / value - 1) < 1e-12] for c in found.curves]
@@ -438,7 +451,7 @@ def _not_chamber_or_pressure(scene: dj.Scene, name: str) -> bool:
 
 def _without_words(scene: dj.Scene, name: str) -> bool:
     """Whether documents or options have no words for a scene."""
-    said = describe(scene)
+    said = described(scene)
     custom = said["material"] not in MATERIAL_CONSTANTS or said["breakdown"] == "CustomBreakdown"
     return custom or _not_chamber_or_pressure(scene, name)
 

@@ -53,7 +53,8 @@ def _units(dj: Any, args: argparse.Namespace) -> Any:
     given = {n: getattr(args, n) for n in UNIT_CONSTANTS if getattr(args, n) is not None}
     if "relative_permittivity" in given:
         given["permittivity"] = given.pop("relative_permittivity") * VACUUM_PERMITTIVITY
-    units = dj.Units(**given)
+    opening = given.pop("opening_radius", None)
+    units = dj.Units(**given) if opening is None else dj.Units.for_opening(opening, args.prestretch, **given)
     if getattr(args, "chamber_volume", None) is not None and args.atmospheric_pressure is None:
         args.atmospheric_pressure = ATMOSPHERE
     vars(args).update(units.from_si(vars(args)))

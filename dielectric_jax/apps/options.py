@@ -51,6 +51,7 @@ UNIT_CONSTANTS = {
     "shear_modulus": ("PA", "shear modulus μ in Pa (45e3)", "stress"),
     "thickness": ("M", "undeformed thickness H in m (1e-3)", "length"),
     "radius": ("M", "undeformed radius A in m (22.5e-3)", "length"),
+    "opening_radius": ("M", "radius of the opening a = λ0 A in m, in place of A", "length"),
     "relative_permittivity": ("E", "relative permittivity (4.7)", ""),
 }
 #: the options that are dimensionless without --si; those of `_OPTION_KINDS` are of parameters
@@ -413,6 +414,8 @@ def _check(args: argparse.Namespace) -> None:
                 )
     if (args.moduli is None) != (args.exponents is None):
         raise BadInput("--moduli and --exponents must be given together, but one is missing.")
+    if args.radius is not None and args.opening_radius is not None:
+        raise BadInput("--opening-radius must not be given together with --radius.")
     for name in UNIT_CONSTANTS:
         if getattr(args, name) is not None and not args.si:
             raise BadInput(f"{_option(name)} must be given with --si only.")

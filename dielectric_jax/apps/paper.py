@@ -47,6 +47,10 @@ class Paper:
         scene = Scene(_film(1.0), Chamber(volume=volume, initial_volume=2.42))
         return self._once(("chamber", volume), lambda: voltage_volume(scene))
 
+    def units_at(self, prestretch: float) -> Units:
+        """The units of a film that is stretched over the experiment's opening, 22.5 mm in radius."""
+        return Units.for_opening(self.units.radius, prestretch)
+
     def experiment(self, litres: float) -> Diagram:
         """The experiment's chamber, filled with 12 ml."""
         chamber = Chamber(volume=litres * 1e-3, initial_volume=12e-6, atmospheric_pressure=100e3)

@@ -159,21 +159,21 @@ def figure_9(paper: Any) -> Figure:
 
 
 def figure_10(paper: Any) -> Figure:
-    """The model's pressure–volume curves at three prestretches, in mbar and ml."""
+    """The model's pressure–volume curves at three prestretches on one opening, in mbar and ml."""
     figure = new_figure(6.5)
     ax = figure.add_subplot()
     entries, branches = [], []
     for prestretch, colour in zip((1.0, 2.0, 3.0), COLOURS, strict=False):
-        curve = paper.curve(0.0, prestretch)
-        for number, branch in enumerate(paper.units.read(curve.branches)):
-            points = [p for p in paper.units.read(curve.special_points) if p.branch == number]
+        curve, units = paper.curve(0.0, prestretch), paper.units_at(prestretch)
+        for number, branch in enumerate(units.read(curve.branches)):
+            points = [p for p in units.read(curve.special_points) if p.branch == number]
             volume, pressure, broken, stable = columns(branch, "pressure", points)
             draw_line(ax, volume, pressure, stable, broken, colour=colour)
             branches.append(branch)
         entries.append(line_entry(f"prestretch {prestretch:g}", colour=colour))
     add_legend(ax, [*entries, *line_entries(branches)])
-    ax.set(xlim=(0, 1700), ylim=(0, 45), xlabel="Volume V / ml", ylabel="Pressure p / mbar")
-    ax.set_title("The model's prediction, Φ = 0", loc="left", fontsize="medium")
+    ax.set(xlim=(0, 400), ylim=(0, 60), xlabel="Volume V / ml", ylabel="Pressure p / mbar")
+    ax.set_title("The model's prediction, Φ = 0, opening of radius 22.5 mm", loc="left", fontsize="medium")
     return figure
 
 

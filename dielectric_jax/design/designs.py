@@ -24,7 +24,6 @@ from ..model import (
     change_of,
     field_on,
     other_loading,
-    refuse_dimensionless,
 )
 from ..numerics import SceneError
 from ..surface import ById, Surface, SurfaceFamily
@@ -144,8 +143,7 @@ def classify_designs(
     >>> [Regime(int(r)).name for r in found.regime]
     ['breaks_in_snap', 'returns', 'no_snap', 'returns', 'stays']
     """
-    if scene.units is not None:
-        refuse_dimensionless(parameters, scene.units)
+    scene.check_in_si(parameters)
     found = designs_on_surfaces(scene, parameters, surface=surface)
     if whole:
         by_continuation(found)

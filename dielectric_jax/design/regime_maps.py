@@ -12,7 +12,7 @@ import numpy as np
 import scipy.ndimage
 
 from ..diagram import Ramps
-from ..model import Change, Outcome, Regime, Scene, change_of, describe_in_units, plain, refuse_dimensionless
+from ..model import Change, Outcome, Regime, Scene, change_of, describe_in_units, plain
 from ..numerics import LARGEST, check_whole, shown
 from ..surface import Surface, SurfaceFamily
 from .boundaries import LANDING_LOST, completed, guesses, has_event, kind_between, located, with_landing
@@ -182,8 +182,7 @@ def check_range(name: str, limits, scene: Scene | None = None) -> tuple[float, f
     if scene is not None:
         scene.check_varies(name)
     if scene is not None and isinstance(limits, (list, tuple)):
-        if scene.units is not None:
-            refuse_dimensionless({name: [v for v in limits if isinstance(v, (int, float))]}, scene.units)
+        scene.check_in_si({name: [v for v in limits if isinstance(v, (int, float))]})
         limits = [scene.number_of(name, v) for v in limits]
     try:
         low, high = (float(v) for v in limits)

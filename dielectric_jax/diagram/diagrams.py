@@ -430,6 +430,8 @@ def equilibrium(
             membrane, float(as_scalar(membrane.number_of("voltage", voltage))), tolerance, surface, method
         )
     else:
+        if isinstance(voltage, str):
+            raise ValueError(f"`voltage` must be a number, because a membrane carries no units, but is {voltage!r}.")
         states = membrane_states(
             membrane, voltage=voltage, tolerance=tolerance, surface=surface, method=method, **typing.cast(dict, given)
         )

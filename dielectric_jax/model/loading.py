@@ -10,7 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from ..numerics import check_positive
+from ..numerics import Readable, check_positive
 from .materials import Scalar, as_scalar, is_concrete
 
 __all__ = [
@@ -88,7 +88,7 @@ class LoadingCondition(eqx.Module):
         return self.pressure_weight, self.gas_stiffness(volume) + self.volume_weight, self.load_weight
 
 
-class AbstractLoading(eqx.Module):
+class AbstractLoading(Readable):
     """A loading; `condition` gives its values, with the filling of a chamber already known on both sides."""
 
     @abc.abstractmethod

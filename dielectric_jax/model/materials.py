@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..numerics import LARGEST, check_positive, elementwise, log1p, of_this_package, reciprocal
+from ..numerics import LARGEST, Readable, check_positive, elementwise, log1p, of_this_package, reciprocal
 from .energies import check_energy, check_modulus, check_permittivity
 from .quantities import VACUUM_PERMITTIVITY
 from .resolution import (
@@ -62,7 +62,7 @@ def first_invariant_minus_3(l1, l2):
     return l1 * l1 + l2 * l2 + l3 * l3 - 3
 
 
-class AbstractMaterial(eqx.Module):
+class AbstractMaterial(Readable):
     """A free energy W(λ1, λ2) of your own: a subclass with these three methods is a material everywhere.
 
     Its fields that are numbers are its constants, which `Scene.replace`, sweeps, derivatives and `continue_scenes` know by
@@ -378,7 +378,7 @@ def check_scale(scale) -> None:
         check_positive("breakdown_field_scale", float(scale))
 
 
-class AbstractBreakdown(eqx.Module):
+class AbstractBreakdown(Readable):
     """The true electric field at which the dielectric fails, as a law of the stretch λ = √(λ1 λ2)."""
 
     @abc.abstractmethod

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..numerics import elementwise, reciprocal, sine_cosine
+from ..numerics import Readable, elementwise, reciprocal, sine_cosine
 from .energies import require_float64
 from .materials import (
     AbstractBreakdown,
@@ -65,7 +65,7 @@ def window_end(material: AbstractMaterial, prestretch: float) -> tuple[float, bo
     return (largest, locks) if end >= largest else (end, False)
 
 
-class Membrane(eqx.Module):
+class Membrane(Readable):
     """A circular membrane, clamped at R = 1 to r = `prestretch`.
 
     >>> Membrane(material=Gent(stretch_limit=270.0), prestretch=1.5).prestretch

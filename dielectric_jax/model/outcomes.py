@@ -3,14 +3,14 @@
 Every engine fills in what it knows of a ramp; what it does not know leaves the regime `not_decided`, never another regime.
 """
 
-import enum
-
 import numpy as np
+
+from ..numerics import NamedCode
 
 __all__ = ["REGIME_COLOURS", "SNAPPING", "FoldAhead", "Outcome", "Regime", "regimes_of"]
 
 
-class Outcome(enum.IntEnum):
+class Outcome(NamedCode):
     """How a ramp up ends, as `Ramps.outcome` holds it."""
 
     breakdown_on_branch = 0
@@ -20,7 +20,7 @@ class Outcome(enum.IntEnum):
     unresolved = 4  # the engine could not determine it; `voltage_volume` can
 
 
-class FoldAhead(enum.IntEnum):
+class FoldAhead(NamedCode):
     """Whether a branch that reaches breakdown has a fold further on, in the scanned window (t ≤ 0.9)."""
 
     unknown = 0
@@ -28,7 +28,7 @@ class FoldAhead(enum.IntEnum):
     fold = 2
 
 
-class Regime(enum.IntEnum):
+class Regime(NamedCode):
     """What a slow ramp of the voltage does, up to breakdown and down from the last landing; the regimes exclude each other.
 
     `undetermined` is an answer: the window ends the ramp. `not_decided` is none: the engine could not determine the regime.

@@ -146,6 +146,7 @@ _ROWS = (
     _unit("shear_modulus", "μ", "shear modulus", "Pa", Change.BREAKDOWN),
     _unit("thickness", "H", "undeformed thickness", "m", Change.LOADING),
     _unit("radius", "A", "undeformed radius", "m", Change.LOADING),
+    _unit("opening_radius", "a", "radius of the opening", "m", Change.LOADING),
     _unit("permittivity", "ε", "permittivity", "F/m", Change.BREAKDOWN),
 )
 #: the parameters by their published names; those of the units where a scene carries `units`, in SI

@@ -6,12 +6,13 @@ The scene decides what is integrated: which derivatives the loading's condition 
 import dataclasses
 import typing
 import warnings
+from collections.abc import Mapping
 
 import equinox as eqx
 import jax
 import numpy as np
 
-from ..numerics import LARGEST, shown
+from ..numerics import LARGEST, Readable, shown
 from .loading import (
     AbstractLoading,
     Chamber,
@@ -77,7 +78,7 @@ def pair(name, value) -> tuple[float, float]:
     return low, high
 
 
-class Window(eqx.Module):
+class Window(Readable):
     """The part of the chart that is searched: apex stretch, and load fraction t = q/q_max(λa).
 
     `apex_stretch=None` means from the prestretch to the material's largest stretch, beyond which no window goes: its lock-up
@@ -102,7 +103,7 @@ class Window(eqx.Module):
             raise ValueError(f"`load_window` must begin below {SCANNED_LOAD}, but begins at {low!r}.")
 
 
-class Scene(eqx.Module):
+class Scene(Readable):
     """One membrane under one loading; `replace` changes parameters by their published names (`PARAMETERS`).
 
     Its fields hold dimensionless numbers. On a scene that carries `units`, parameters are given and returned in SI, by `replace`
@@ -135,6 +136,7 @@ class Scene(eqx.Module):
             if not isinstance(self.units, Units):
                 raise ValueError(f"`units` must be a Units, but is a {type(self.units).__name__}.")
             _check_law(self.membrane.breakdown, self.units)
+            _check_opening(self.membrane.prestretch, self.units)
 
     @classmethod
     def from_si(
@@ -165,37 +167,52 @@ class Scene(eqx.Module):
 
         With `units` every pressure, volume and constant of the units is in SI: a number, or a text with a unit such as
         `chamber_volume="0.5 l"`; a number that looks dimensionless is refused. Where the units change, the loading and a constant
-        breakdown field stay what they are in SI. Without `units` all numbers are dimensionless. The order of the parameters
+        breakdown field stay what they are in SI; so does an `opening_radius`, whose film has the radius a/λ0. Without `units` all numbers are dimensionless. The order of the parameters
         does not matter. An entry of a list is `moduli[0]`; `modulus_ratio` and `relaxation_time` are one number for each branch of a
         viscoelastic film, `branches[0].stretch_limit` a constant of a branch's spring, and `stretch_limit` that of the equilibrium
         spring.
 
         >>> chamber = Chamber(volume=18.225e-3, initial_volume=27.565e-6, atmospheric_pressure=100e3)
         >>> scene = Scene.from_si(Membrane(), chamber).replace(chamber_volume="0.5 l")
-        >>> scene.value_of("chamber_volume"), round(float(scene.loading.volume), 9)
+        >>> float(scene.value_of("chamber_volume")), round(float(scene.loading.volume), 9)
         (0.0005, 43.895747599)
         """
-        if self.units is not None:
-            refuse_dimensionless(parameters, self.units)
+        self.check_in_si(parameters)
         return self.with_values(**{name: self.number_of(name, value) for name, value in parameters.items()})
 
     def with_values(self, **parameters) -> "Scene":
         """`replace` for computing: numbers only, of any size."""
         scene = self
         named = [pair for name, value in parameters.items() for pair in self._by_branches(name, value)]
-        for name, value in sorted(named, key=lambda item: place_of(item[0])[0] != "units"):
+        for name, value in sorted(named, key=lambda item: _order(item[0])):
             path = scene.path_of(name)
+            opening = None if scene.units is None else scene.units.opening_radius
             if path[0] == "units":
-                scene = scene._in(_rebuild(scene.units, (), {name: value}))
+                scene = scene._in(scene._units_with(name, value))
                 continue
-            if parameter_of(name).kind in _MEASURED:
-                value = scene.dimensionless(value, name)
+            if name == "prestretch" and opening is not None:
+                membrane = _rebuild(scene.membrane, (), {name: value})
+                scene = scene._in(_rebuild(scene.units, (), {"radius": opening / membrane.prestretch}), membrane)
+                continue
+            value = scene.as_held(name, value)
             changes = {path[-1]: value}
             other = {"initial_volume": "initial_pressure", "initial_pressure": "initial_volume"}.get(name)
             if other:
                 changes[other] = None
             scene = _rebuild(scene, path[:-1], changes)
         return scene
+
+    def _units_with(self, name: str, value) -> Units:
+        """The units with another constant; the opening and the radius of the film change together."""
+        units = typing.cast(Units, self.units)
+        changes = {name: value}
+        if name == "opening_radius":
+            changes["radius"] = value / self.membrane.prestretch
+        elif name == "radius" and units.opening_radius is not None:
+            raise ValueError(
+                "`radius` must be left out, because the scene keeps its `opening_radius`; change that one."
+            )
+        return _rebuild(units, (), changes)
 
     def number_of(self, name: str, value: typing.Any) -> typing.Any:
         """A value of a parameter, where it is a text with a unit as a number in SI; raises ValueError without `units`."""
@@ -204,6 +221,15 @@ class Scene(eqx.Module):
         if self.units is None:
             raise ValueError(f"`{name}` must be a number, because the scene carries no `units`, but is {shown(value)}.")
         return from_text(name, value)
+
+    def check_in_si(self, given: Mapping[str, typing.Any]) -> None:
+        """Raises ValueError for numbers of parameters, or lists of them, that look dimensionless on a scene with units."""
+        if self.units is not None:
+            refuse_dimensionless({name: value for name, value in given.items() if self.has(name)}, self.units)
+
+    def as_held(self, name: str, value: typing.Any) -> typing.Any:
+        """The value of a parameter as the scene's fields hold it: a pressure or a volume in SI made dimensionless."""
+        return self.dimensionless(value, name) if parameter_of(name).kind in _MEASURED else value
 
     def in_units(self, value: typing.Any, name: str) -> typing.Any:
         """A dimensionless number as the scene gives it: in SI where it carries `units`; `name` as in `Units.to_si`."""
@@ -292,14 +318,16 @@ class Scene(eqx.Module):
         if isinstance(path[-1], int):
             return isinstance(_at(self, path[:-1]), tuple) and _at(self, path) is not None
         module = _at(self, path[:-1])
+        if isinstance(module, Units):
+            return getattr(module, path[-1]) is not None
         if isinstance(module, tuple):  # the branches
             module = module[0] if module else None
         if isinstance(module, AbstractMaterial):
             return path[-1] in constants_of(module)
         return module is not None and path[-1] in _fields(module)
 
-    def _in(self, units: Units) -> "Scene":
-        """The same loading and breakdown field in SI on a film of other constants."""
+    def _in(self, units: Units, membrane: Membrane | None = None) -> "Scene":
+        """The same loading and breakdown field in SI on a film of other constants, and on another membrane if one is given."""
         before = typing.cast(Units, self.units)
         law = self.membrane.breakdown
         if isinstance(law, ConstantBreakdown):
@@ -308,9 +336,9 @@ class Scene(eqx.Module):
             raise ValueError(
                 f"`breakdown` must be a VHBBreakdown or ConstantBreakdown where units change, but is a {type(law).__name__}."
             )
-        membrane = _rebuild(self.membrane, (), {"breakdown": _law_in(law, units)})
+        film = _rebuild(self.membrane if membrane is None else membrane, (), {"breakdown": _law_in(law, units)})
         loading = units.reduce(before.to_si(self.loading))
-        return Scene(membrane, loading, self.window, units)
+        return Scene(film, loading, self.window, units)
 
     def limits(self) -> tuple[tuple[float, float], bool, tuple[float, float]]:
         """Apex-stretch limits, whether the upper one is the material's lock-up, and load-fraction limits."""
@@ -384,6 +412,22 @@ def _check_law(law, units: Units) -> None:
                 f"`{name}` of the breakdown law must be that of the units, {float(other):.6g}, but is {float(own):.6g}; "
                 "Scene.from_si sees to it."
             )
+
+
+def _order(name: str) -> int:
+    """In which order parameters are replaced: those by which others are measured first."""
+    return 0 if place_of(name)[0] == "units" else 1 if name == "prestretch" else 2
+
+
+def _check_opening(prestretch, units: Units) -> None:
+    opening, radius = units.opening_radius, units.radius
+    if opening is None or not all(map(is_concrete, (prestretch, opening, radius))):
+        return
+    if abs(radius * prestretch / opening - 1) > 1e-9:
+        raise ValueError(
+            f"`opening_radius` must be the prestretch times the radius of the film, {float(radius * prestretch):.6g}, but is "
+            f"{float(opening):.6g}; Units.for_opening sees to it."
+        )
 
 
 def _at(module: typing.Any, path) -> typing.Any:

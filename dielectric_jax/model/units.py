@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..numerics import LARGEST, check_positive, shown
+from ..numerics import LARGEST, Readable, check_positive, shown
 from .parameters import PARAMETERS
 from .quantities import VACUUM_PERMITTIVITY, quantity
 
@@ -119,14 +119,20 @@ def _constant(name: str) -> Callable:
     return lambda value: as_scalar(from_text(name, value) if isinstance(value, str) else value)
 
 
-class Units(eqx.Module):
+def _or_none(name: str) -> Callable:
+    """The converter of a constant that need not be given."""
+    return lambda value: None if value is None else _constant(name)(value)
+
+
+class Units(Readable):
     """What one means in SI: shear modulus μ [Pa], undeformed thickness H [m], radius A [m], permittivity ε [F/m].
 
     Each is a number in SI, or a text with its unit such as "0.3 MPa", "0.2 mm", "2.8 eps0".
 
     By default the membrane of the paper's analyses: VHB 4910 with μ = 45 kPa, H = 1 mm, A = 22.5 mm, ε = 4.7 ε0. The
     field's unit √(μ/ε) is also that of the breakdown law, which must be given the same μ and ε; `Scene` checks it, and
-    `Scene.from_si` does it. The `density` ρ [kg/m³] of the film, none by default, is needed for frequencies only.
+    `Scene.from_si` does it. A film is mounted on an opening of radius a = λ0 A; `Units.for_opening` gives A by a, and a scene with such
+    units keeps the opening as its prestretch changes. The `density` ρ [kg/m³] of the film, none by default, is needed for frequencies only.
 
     >>> units = Units()
     >>> round(units.to_si(0.1, "voltage"), 6), round(units.to_si(2.42, "volume") / 1e-6, 6)  # V, ml
@@ -143,17 +149,29 @@ class Units(eqx.Module):
     thickness: Scalar = eqx.field(default=1e-3, converter=_constant("thickness"))
     radius: Scalar = eqx.field(default=22.5e-3, converter=_constant("radius"))
     permittivity: Scalar = eqx.field(default=4.7 * VACUUM_PERMITTIVITY, converter=_constant("permittivity"))
-    density: Scalar | None = eqx.field(default=None, converter=lambda v: None if v is None else _constant("density")(v))
+    density: Scalar | None = eqx.field(default=None, converter=_or_none("density"))
+    opening_radius: Scalar | None = eqx.field(default=None, converter=_or_none("opening_radius"))
 
     def __check_init__(self):
         if self.density is not None and is_concrete(self.density):
             check_positive("density", float(self.density))
         for name in _CONSTANTS:
-            if is_concrete(getattr(self, name)):
+            if getattr(self, name) is not None and is_concrete(getattr(self, name)):
                 value = float(getattr(self, name))
                 check_positive(name, value)
                 if value < 1 / LARGEST:  # what is divided by it must not overflow
                     raise ValueError(f"`{name}` must be at least {1 / LARGEST:g}, but is {value!r}.")
+
+    @classmethod
+    def for_opening(cls, opening_radius: Scalar | str, prestretch: Scalar = 1.0, **constants) -> "Units":
+        """The units of a film that is mounted with a prestretch λ0 on an opening of radius a [m]: A = a/λ0.
+
+        >>> units = Units.for_opening("15 mm", prestretch=1.2, thickness="0.2 mm")
+        >>> round(float(units.radius), 9)
+        0.0125
+        """
+        opening = _constant("opening_radius")(opening_radius)
+        return cls(radius=opening / prestretch, opening_radius=opening, **constants)
 
     @property
     def relative_permittivity(self):
@@ -232,7 +250,7 @@ class Units(eqx.Module):
 
         With `read=True` the units of `read` instead, for people. The scene lists the constants of the units, always in SI.
         """
-        constants = {n: float(getattr(self, n)) for n in _CONSTANTS}
+        constants = {n: float(getattr(self, n)) for n in _CONSTANTS if getattr(self, n) is not None}
         out = self.read(document) if read else self.to_si(document)
         names = {"units": "kV, ml, mbar" if read else "SI", "unit_names": self.names(read=read)}
         out = {k: names.pop(k) if k == "units" else v for k, v in out.items()}

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from ..numerics import check_positive
+from ..numerics import Readable, check_positive
 from .materials import AbstractDielectric, AbstractMaterial, Scalar, as_scalar, is_concrete
 from .resolution import MOST_BRANCHES
 
@@ -16,7 +16,7 @@ __all__ = ["FLOW", "Maxwell", "Unrelaxed", "Viscoelastic", "spring_and_branches"
 FLOW = np.array([[1.0, -0.5], [-0.5, 1.0]]) / 3
 
 
-class Maxwell(eqx.Module):
+class Maxwell(Readable):
     """A spring in series with a dashpot: g W_k(λ1/ξ1, λ2/ξ2), with ξ1, ξ2 the stretches of the dashpot.
 
     `modulus_ratio` g = μ_k/μ multiplies the energy W_k of the spring `material`; `relaxation_time` is τ = η/μ_k, in the unit

@@ -1,6 +1,7 @@
 from .cache import cache_folder, enable_compilation_cache, enabled_folder, is_own, make_folder, say
 from .codes import (
     Code,
+    NamedCode,
     SceneError,
     StoreError,
     WorkersLost,
@@ -17,6 +18,7 @@ from .elementary import log1p, reciprocal, sine_cosine, softplus
 from .lanes import calls_of, cores, lanes_of_a_call, run_lanes, threads
 from .locks import Locked, alone
 from .newton import Root, SmallSystem, root_find, solve_small
+from .readable import Readable
 from .resolution import LARGEST
 
 __all__ = [
@@ -24,7 +26,9 @@ __all__ = [
     "Code",
     "Eigenpairs",
     "Locked",
+    "NamedCode",
     "Problem",
+    "Readable",
     "Root",
     "SceneError",
     "SmallSystem",

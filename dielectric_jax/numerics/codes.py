@@ -13,6 +13,7 @@ from .resolution import LARGEST
 
 __all__ = [
     "Code",
+    "NamedCode",
     "SceneError",
     "StoreError",
     "WorkersLost",
@@ -24,7 +25,14 @@ __all__ = [
 ]
 
 
-class Code(enum.IntEnum):
+class NamedCode(enum.IntEnum):
+    """A number that prints as its name."""
+
+    def __str__(self) -> str:
+        return self.name
+
+
+class Code(NamedCode):
     """Why a branch ended, a solve stopped or a scene has no answer."""
 
     ok = 0

@@ -192,7 +192,8 @@ def plot_chamber(
     _require_kind(diagram, "voltage-volume")
     if shapes:
         figure = new_figure(11.0 if curves else 6.0, 6.2) if figure is None else figure
-        above, below = figure.subfigures(2, 1, height_ratios=(2.6, 1))
+        halves: Any = figure.subfigures(2, 1, height_ratios=(2.6, 1))
+        above, below = halves
         _draw_shapes(below, shapes, viewed(diagram, units)[1])
         plot_chamber(diagram, curves, figure=above, units=units)
         return figure

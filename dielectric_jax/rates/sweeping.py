@@ -1,14 +1,13 @@
 """Ramps and holds in time as an engine of sweeps: many runs, their regimes and events, as variables of a dataset."""
 
 import dataclasses
-import enum
 import math
 import typing
 
 import numpy as np
 
 from ..model import Scene
-from ..numerics import check_positive, shown
+from ..numerics import NamedCode, check_positive, shown
 from .following import follow
 from .phases import filling_of
 from .protocols import Hold, Ramp, number_of
@@ -17,7 +16,7 @@ from .runs import Run, RunEvent, estimate_errors
 __all__ = ["InTime", "RunOutcome", "TimeRegime", "regime_in_time"]
 
 
-class RunOutcome(enum.IntEnum):
+class RunOutcome(NamedCode):
     """How a run in time ends: the values of `outcome`; those of scenes without an answer are numbered as in other sweeps."""
 
     not_computed = -1
@@ -32,7 +31,7 @@ class RunOutcome(enum.IntEnum):
     failed = 8  # its computation raised an error
 
 
-class TimeRegime(enum.IntEnum):
+class TimeRegime(NamedCode):
     """What a membrane does in time, by the first thing that happens to it."""
 
     not_decided = -1

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..model import PARAMETERS, Scene, parameter_of, place_of, refuse_dimensionless
+from ..model import PARAMETERS, Scene, parameter_of, place_of
 from ..numerics import LARGEST, check_whole, shown
 from .resolution import MOST_VALUES
 
@@ -178,10 +178,7 @@ class Design:
             seen |= {axis.dimension, *axis.columns}
         if {"initial_volume", "initial_pressure"} <= seen:
             raise ValueError("`initial_volume` and `initial_pressure` must not both vary: each sets the filling.")
-        if self.scene.units is not None:
-            refuse_dimensionless(
-                {n: column for axis in self.axes for n, column in axis.columns.items()}, self.scene.units
-            )
+        self.scene.check_in_si({n: column for axis in self.axes for n, column in axis.columns.items()})
         for name in (name for axis in self.axes for name in axis.columns):
             if self.of_engine is None:
                 self.scene.check_varies(name)
@@ -249,7 +246,8 @@ def axes_of(parameters: Mapping[str, typing.Any], scene: Scene | None = None) ->
     """One axis for each parameter, with the name of the parameter; texts with units as numbers in SI."""
 
     def numbers(name: str, values: typing.Any) -> typing.Any:
-        given = isinstance(scene, Scene) and isinstance(values, (list, tuple))
-        return [scene.number_of(name, v) for v in values] if given else values
+        if isinstance(scene, Scene) and isinstance(values, (list, tuple)):
+            return [scene.number_of(name, v) for v in values]
+        return values
 
     return tuple(Axis(name, {name: numbers(name, values)}) for name, values in parameters.items())

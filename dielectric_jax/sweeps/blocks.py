@@ -289,7 +289,7 @@ def _columns_of(scene: Scene, loadings: dict, count: int) -> dict[str, typing.An
         if value is None or (filled and name.startswith("initial_") and name not in filled):
             continue
         column = np.broadcast_to(np.asarray(value, float), (count,))
-        found[name] = column if name not in loadings or scene.units is None else scene.units.reduce(column, name)
+        found[name] = scene.as_held(name, column) if name in loadings else column
     if isinstance(loading, ConstantPressure):
         return {"pressure": found["pressure"]}
     return found

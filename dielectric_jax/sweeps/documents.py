@@ -201,7 +201,7 @@ def scene_of(given: dict[str, typing.Any], constants: dict[str, typing.Any] | No
     """The scene with parameters by their published names, `material` and `breakdown` ("vhb" or a field), and windows.
 
     A viscoelastic material has an `elastic` spring, whose constants stand beside it, and `branches`, a list of tables with
-    `modulus_ratio`, `relaxation_time` and their own `material` and constants. `constants` (shear_modulus, thickness, radius,
+    `modulus_ratio`, `relaxation_time` and their own `material` and constants. `constants` (shear_modulus, thickness, radius or opening_radius,
     permittivity, in SI) are those of the units that the scene carries; then its pressures, its volumes and a breakdown field are in SI
     too. Without them this is the inverse of `describe`. Raises ValueError for names that a scene does not have.
 
@@ -227,7 +227,7 @@ def scene_of(given: dict[str, typing.Any], constants: dict[str, typing.Any] | No
     field = () if breakdown == "vhb" else (number("scene", "breakdown", breakdown),)
     constants = {} if constants is None else constants
     refuse("units", constants, [n for n, row in PARAMETERS.items() if row.path[0] == "units"])
-    units = Units(**{n: number("units", n, v) for n, v in constants.items()}) if constants else None
+    units = units_of(constants, parts["membrane"].get("prestretch", 1.0)) if constants else None
     law = (ConstantBreakdown if field else VHBBreakdown)(*field, **parts["breakdown"])
     membrane = Membrane(_film(given, parts["material"]), breakdown=law, **parts["membrane"])
     loading = parts["loading"]
@@ -256,13 +256,23 @@ def other_filling_left_out(given: dict[str, typing.Any], varied: typing.Iterable
     return {name: value for name, value in given.items() if name not in left_out}
 
 
+def units_of(constants: dict[str, typing.Any], prestretch: float) -> Units:
+    """The units of a table [units] for a film of this prestretch."""
+    numbers = {n: number("units", n, v) for n, v in constants.items()}
+    if "opening_radius" not in numbers:
+        return Units(**numbers)
+    if "radius" in numbers:
+        raise ValueError("`radius` or `opening_radius` must be given in [units], but both are.")
+    return Units.for_opening(numbers.pop("opening_radius"), prestretch, **numbers)
+
+
 def check_sizes(given: dict[str, typing.Any], constants: dict[str, typing.Any]) -> None:
     """Refuses numbers of a scene, or lists of them, that are not in the unit of the document.
 
     With `constants` of units the document is in SI, and one number that looks dimensionless is enough; without them it is
     dimensionless, and two that look like SI are needed, judged by the membrane of the paper.
     """
-    units = Units(**{n: number("units", n, v) for n, v in constants.items()})
+    units = units_of(constants, 1.0)
     if constants:
         refuse_dimensionless(given, units)
     else:

@@ -5,7 +5,6 @@ Every value has an error estimate, named by the attribute `ancillary_variables` 
 """
 
 import dataclasses
-import enum
 import typing
 
 import numpy as np
@@ -25,7 +24,7 @@ from ..diagram import (
     regime_of_diagram,
 )
 from ..model import FoldAhead, Outcome, PointKind, Ramp, RampEvent, Regime, State, field_on
-from ..numerics import Code
+from ..numerics import Code, NamedCode
 from ..surface import ROWS
 
 __all__ = [
@@ -38,7 +37,7 @@ __all__ = [
 ]
 
 
-class Answer(enum.IntEnum):
+class Answer(NamedCode):
     """The values of the variable `outcome`: those of `Outcome`, and further results a scene can have."""
 
     not_computed = -1
@@ -54,7 +53,7 @@ class Answer(enum.IntEnum):
     lost_axisymmetry = 9  # a mode turned unstable, or hoop tension was lost; with `modes` only
 
 
-class Source(enum.IntEnum):
+class Source(NamedCode):
     """The engine that answered a scene."""
 
     none = -1
