@@ -16,6 +16,7 @@ from .cusps import (
     pressure_cusp,
     pressure_peak,
     pressure_valley,
+    state_point,
     zero_voltage_point,
 )
 from .mode_points import mode_point
@@ -42,5 +43,6 @@ __all__ = [
     "snap_back_voltage",
     "snap_point",
     "snap_voltage",
+    "state_point",
     "zero_voltage_point",
 ]

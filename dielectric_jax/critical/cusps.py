@@ -6,13 +6,28 @@ outside transformations, and is NaN inside or with `throw=False`.
 
 import typing
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 
 from ..diagram import filling
-from ..model import Chamber, ConstantPressure, ConstantVoltage, Membrane, PointKind, Scene, other_loading
-from ..numerics import Code, SceneError
+from ..model import (
+    AbstractLoading,
+    Chamber,
+    ConstantPressure,
+    ConstantVoltage,
+    LoadingCondition,
+    Membrane,
+    PointKind,
+    PrescribedVolume,
+    Scene,
+    as_scalar,
+    is_concrete,
+    other_loading,
+)
+from ..numerics import Code, SceneError, check_positive
 from .critical_points import CriticalPoint, engine_of, find, point_of, start_of
-from .fixed_load import chamber_cusps, leaf_of, none, onset, pressure_extremes, zero_states
+from .fixed_load import chamber_cusps, leaf_of, none, onset, pressure_extremes, states_at, zero_states
 from .fixed_load import pressure_cusp as find_pressure_cusp
 from .point_systems import Conditions, attach, attach_free
 from .resolution import TOLERANCE
@@ -24,6 +39,7 @@ __all__ = [
     "pressure_cusp",
     "pressure_peak",
     "pressure_valley",
+    "state_point",
     "zero_voltage_point",
 ]
 
@@ -65,15 +81,14 @@ def _filled(scene: Scene) -> tuple[float | None, float | None]:
     return filled
 
 
-def _states(scene: Scene) -> tuple[np.ndarray, list[np.ndarray]]:
-    """The start of a ramp and all zero-voltage states of a scene."""
-    pressure, volume = _filled(scene)
-    states = zero_states(scene.membrane, scene.loading.condition(pressure, volume))
+def _start(scene: Scene) -> tuple[np.ndarray, tuple]:
+    """The start of a chamber's ramp, and its filling (p_0, V_0)."""
+    filled = _filled(scene)
+    states = zero_states(scene.membrane, scene.loading.condition(*filled))
     states = [row for row in states if row[5] == int(Code.ok)]
     if not states:
         raise SceneError(Code.no_zero_voltage_state)
-    start = states[0] if volume is None else min(states, key=lambda row: abs(row[3] - volume))
-    return start, sorted(states, key=lambda row: row[3])
+    return min(states, key=lambda row: abs(row[3] - filled[1])), filled
 
 
 def _check(scene, kinds) -> None:
@@ -83,26 +98,77 @@ def _check(scene, kinds) -> None:
         raise other_loading(scene.loading, *kinds)
 
 
+class AtVoltage(AbstractLoading):
+    """A loading, and the voltage at which its states are asked for."""
+
+    loading: AbstractLoading
+    voltage: typing.Any = eqx.field(converter=as_scalar)
+
+    def condition(self, initial_pressure=None, initial_volume=None) -> LoadingCondition:
+        """That of the loading."""
+        return self.loading.condition(initial_pressure, initial_volume)
+
+
+def state_point(scene: Scene, voltage=0.0, number: int = 0, *, throw: bool = True) -> CriticalPoint:
+    """The state at a voltage with the given `number` in order of volume, stable or not; −1 is the last.
+
+    Differentiable by the voltage and every parameter of the scene, also under `jax.vmap`, as a likelihood needs it: on a
+    `PrescribedVolume` it is p(V; θ). The voltage is in V on a scene with units; states are those in the window up to t = 0.9.
+
+    Args:
+        scene: a scene with a chamber, a constant pressure or a prescribed volume.
+        voltage: the voltage.
+        number: which of the states.
+        throw: raise SceneError where there is none, outside transformations.
+
+    >>> import jax
+    >>> from dielectric_jax import Gent, PrescribedVolume
+    >>> def pressure(limit, volume):
+    ...     return state_point(Scene(Membrane(Gent(limit)), PrescribedVolume(volume))).pressure
+    >>> value, slope = jax.value_and_grad(pressure)(270.0, 2.42)
+    >>> round(float(value), 8), round(1e5 * float(slope), 3)
+    (1.88661268, -7.535)
+    """
+    _check(scene, (Chamber, ConstantPressure, PrescribedVolume))
+    if not isinstance(number, int):
+        raise ValueError(f"`number` must be a whole number, but is {number!r}.")
+    phi = scene.dimensionless(voltage, "voltage")
+    if is_concrete(phi):
+        check_positive("voltage", float(phi), zero=True)
+    filled = isinstance(scene.loading, Chamber)
+
+    def one(asked):
+        own = Scene(asked.membrane, asked.loading.loading)
+        start, condition = None, own.loading.condition()
+        if filled:
+            start, filling = _start(own)
+            condition = own.loading.condition(*filling)
+        states = [
+            s for s in states_at(own.membrane, condition, float(asked.loading.voltage) ** 2) if s[5] == int(Code.ok)
+        ]
+        states.sort(key=lambda row: row[3])
+        there = -len(states) <= number < len(states)
+        state = states[number] if there else none(Code.no_such_state)
+        return [state] if start is None else [start, state]
+
+    asked = Scene(scene.membrane, AtVoltage(scene.loading, phi))
+    found = find(("start", "state") if filled else ("state",), asked, None, one)
+    of = found["state"]
+    theta = (
+        start_of(scene, found["start"], None)[1] if filled else Conditions(scene.membrane, scene.loading.condition())
+    )
+    theta = Conditions(theta.membrane, theta.condition, jnp.asarray(phi, float) ** 2)
+    return point_of(scene, of, attach(of.state, theta, PointKind.load, engine_of(None, of.steps)), throw)
+
+
 def zero_voltage_point(scene: Scene, number: int = 0, *, throw: bool = True) -> CriticalPoint:
-    """The state at zero voltage with the given `number` in order of volume, stable or not, in the window; −1 is the last.
+    """The state at zero voltage with the given `number` in order of volume; see `state_point`.
 
     >>> scene = Scene(Membrane(), Chamber(volume=1600.0, initial_volume=2.42))
     >>> round(float(zero_voltage_point(scene, -1).volume), 9)
     11.756168965
     """
-    _check(scene, (Chamber, ConstantPressure))
-    if not isinstance(number, int):
-        raise ValueError(f"`number` must be a whole number, but is {number!r}.")
-
-    def one(scene):
-        start, states = _states(scene)
-        there = -len(states) <= number < len(states)
-        return [start, states[number] if there else none(Code.no_zero_voltage_state)]
-
-    found = find(("start", "state"), scene, None, one)
-    of = found["state"]
-    _, theta = start_of(scene, found["start"], None)
-    return point_of(scene, of, attach(of.state, theta, PointKind.load, engine_of(None, of.steps)), throw)
+    return state_point(scene, 0.0, number, throw=throw)
 
 
 def _of_chamber(scene: Scene, search: typing.Callable):

@@ -40,7 +40,7 @@ from .resolution import (
 )
 from .rim import ShotRim
 
-__all__ = ["chamber_cusps", "onset", "pressure_cusp", "pressure_extremes", "settle", "zero_states"]
+__all__ = ["chamber_cusps", "onset", "pressure_cusp", "pressure_extremes", "settle", "states_at", "zero_states"]
 
 
 class Line:
@@ -156,14 +156,19 @@ def pressure_extremes(membrane: Membrane, q: float) -> dict[str, np.ndarray]:
     return found
 
 
-def zero_states(membrane: Membrane, condition: LoadingCondition) -> list[np.ndarray]:
-    """Every state at zero voltage under a loading, in order of λa."""
-    line = line_of(membrane, 0.0)
+def states_at(membrane: Membrane, condition: LoadingCondition, q: float) -> list[np.ndarray]:
+    """Every state at a load under a loading, in order of λa."""
+    line = line_of(membrane, q)
     if not line.length:
         return []
-    roots = line.roots(lambda s: np.asarray(condition.residual(*line.at(s)[1:], 0.0)))
-    theta = Conditions(membrane, condition, np.asarray(0.0))
-    return [settle(PointKind.load, (*line.at(place)[:2], 0.0), theta) for place in roots]
+    roots = line.roots(lambda s: np.asarray(condition.residual(*line.at(s)[1:], q)))
+    theta = Conditions(membrane, condition, np.asarray(float(q)))
+    return [settle(PointKind.load, (*line.at(place)[:2], float(q)), theta) for place in roots]
+
+
+def zero_states(membrane: Membrane, condition: LoadingCondition) -> list[np.ndarray]:
+    """Every state at zero voltage under a loading, in order of λa."""
+    return states_at(membrane, condition, 0.0)
 
 
 def leaf_of(theta: Conditions, name: str) -> int:

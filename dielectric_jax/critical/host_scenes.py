@@ -2,12 +2,12 @@
 
 import dataclasses
 import typing
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import jax
 import numpy as np
 
-from ..model import Scene
+from ..model import AbstractLoading, Scene
 from ..numerics import Code
 from ..surface import Surface
 
@@ -63,15 +63,23 @@ class Scenes(Sequence):
     def _valid(self, surface: Surface | None) -> np.ndarray:
         finite = [np.isfinite(leaf).reshape(len(self), -1).all(axis=1) for leaf in self.leaves]
         good: typing.Any = np.all(finite, axis=0)
-        loading = self.stacked().loading
-        for name in loading.__dataclass_fields__:
-            value = getattr(loading, name)
+        for name, value in _numbers_of(self.stacked().loading):
             if value is not None:
                 good &= (value >= 0) if name in ("atmospheric_pressure", "voltage") else (value > 0)
         if surface is None:  # otherwise the membrane is that of the surface
             for i in np.flatnonzero(good):
                 good[i] = _constructed(self[i])
         return good
+
+
+def _numbers_of(loading: AbstractLoading) -> Iterator[tuple[str, typing.Any]]:
+    """The names and values of a loading's numbers, and those of the loading that it holds."""
+    for name in loading.__dataclass_fields__:
+        value = getattr(loading, name)
+        if isinstance(value, AbstractLoading):
+            yield from _numbers_of(value)
+        else:
+            yield name, value
 
 
 def _constructed(scene: Scene) -> bool:

@@ -4,6 +4,7 @@ from .films import FILM_MODES, Film, FilmState, Passed, Sampled, film_of, film_s
 from .glossary import GLOSSARY, explain
 from .kinds import ClosingEquation, PointKind, RampEvent
 from .loading import (
+    AbstractLoading,
     Chamber,
     ChargeControl,
     ConstantPressure,
@@ -76,6 +77,7 @@ __all__ = [
     "VHB_4910",
     "AbstractBreakdown",
     "AbstractDielectric",
+    "AbstractLoading",
     "AbstractMaterial",
     "ArrudaBoyce",
     "Branch",

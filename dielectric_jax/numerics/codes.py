@@ -63,6 +63,7 @@ class Code(NamedCode):
     other_membrane = 29
     no_neutral_mode = 30
     no_jump = 31
+    no_such_state = 32
 
     @property
     def sentence(self) -> str:
@@ -117,6 +118,7 @@ _SENTENCES = {
     Code.no_jump: (
         "The membrane does not come to an instantaneous fold: it creeps through, rests or breaks down; `follow` shows which."
     ),
+    Code.no_such_state: "The window holds no such state at this voltage.",
     Code.no_zero_voltage_state: "The window holds no such state at zero voltage.",
     Code.no_bistability: "No chamber, however large, has a second stable state at zero voltage with this filling.",
     Code.no_cusp: "No two folds merge within the range that was searched; try another range, `within`.",

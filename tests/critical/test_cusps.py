@@ -42,7 +42,7 @@ def test_zero_voltage_states(scene, slope_by_differences):
     volumes = [float(dj.critical.zero_voltage_point(scene, k).volume) for k in (0, 1, 2)]
     assert np.allclose(volumes, [2.42, 6.04157957, 11.7561689651], rtol=1e-8)
     assert abs(float(dj.critical.zero_voltage_point(scene, -1).pressure) / 1.58605717915 - 1) < 1e-11
-    with pytest.raises(dj.SceneError, match="no_zero_voltage_state"):
+    with pytest.raises(dj.SceneError, match="no_such_state"):
         dj.critical.zero_voltage_point(scene, 3)
 
     def of(volume):
@@ -82,3 +82,32 @@ def test_cusps(scene, membrane, slope_by_differences):
         return dj.critical.pressure_cusp(membrane, voltage, within=(2.0, 2.5)).parameter
 
     assert abs(float(jax.grad(by_voltage)(0.05)) / slope_by_differences(by_voltage, 0.05, 1e-3) - 1) < 1e-7
+
+
+def test_states_at_a_voltage_and_their_derivatives():
+    """Against the states of diagrams, p(V; θ) against `equilibrium`, and slopes against differences."""
+    scene = dj.Scene(dj.Membrane(), dj.Chamber(volume=1600.0, initial_volume=2.42))
+    known = dj.equilibrium(scene, voltage=0.05, all=True)
+    found = [dj.critical.state_point(scene, 0.05, k) for k in range(3)]
+    assert [float(s.volume) for s in found] == pytest.approx([s.volume for s in known], rel=1e-9)
+    assert [float(s.pressure) for s in found] == pytest.approx([s.pressure for s in known], rel=1e-9)
+
+    def pressure(limit, volume, voltage):
+        held = dj.Scene(dj.Membrane(dj.Gent(limit)), dj.PrescribedVolume(volume))
+        return dj.critical.state_point(held, voltage).pressure
+
+    place = np.array([120.0, 3.0, 0.05])
+    assert float(pressure(*place)) == pytest.approx(
+        dj.equilibrium(dj.Membrane(dj.Gent(120.0)), voltage=0.05, volume=3.0).pressure, rel=1e-9
+    )
+    slopes = jax.grad(pressure, (0, 1, 2))(*place)
+    for k, slope in enumerate(slopes):
+        step = 1e-3 * place[k] * np.eye(3)[k]
+        difference = float(pressure(*(place + step)) - pressure(*(place - step))) / (2 * step[k])
+        assert float(slope) == pytest.approx(difference, rel=2e-5)
+    many = jax.vmap(jax.grad(pressure), (None, 0, None))(120.0, np.array([2.0, 3.0]), 0.05)
+    assert float(many[1]) == pytest.approx(float(slopes[0]), rel=1e-12)
+    with pytest.raises(dj.SceneError, match="no_such_state"):
+        dj.critical.state_point(scene, 0.2)
+    with pytest.raises(ValueError, match="`voltage` must be zero or positive"):
+        dj.critical.state_point(scene, -0.1)
