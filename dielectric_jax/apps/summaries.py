@@ -48,9 +48,9 @@ def summary(document: dict) -> str:
     if "intervals" in document:
         return "\n".join([*lines, *_fit_lines(document)])
     if "boundaries" in document:
-        return "\n".join([*lines, *_map_lines(document)])
+        return "\n".join([*lines, *_map_lines(document, units)])
     if "multipliers" in document:
-        return "\n".join([*lines, *_design_lines(document)])
+        return "\n".join([*lines, *_design_lines(document, units)])
     if "events" in document:
         return "\n".join([*lines, *_run_lines(document, units)])
     if "modes" in document:
@@ -92,7 +92,7 @@ def _fit_lines(document: dict) -> list[str]:
     return [*lines, *document.get("notices", ()), *(f"warning: {w}" for w in document["warnings"])]
 
 
-def _map_lines(document: dict) -> list[str]:
+def _map_lines(document: dict, units: dict[str, str]) -> list[str]:
     every = [code for row in document["regimes"] for code in row]
     shares = [[name, every.count(int(code)) / len(every)] for code, name in document["names"].items()]
     rows = [
@@ -100,13 +100,13 @@ def _map_lines(document: dict) -> list[str]:
         + [_range(b[name]) for name in document["over"]]
         for b in document["boundaries"]
     ]
-    header = ["boundary", "kind", "points", *document["over"]]
+    header = ["boundary", "kind", "points", *_heads(document["over"], units)]
     return ["", _table(["regime", "share"], [r for r in shares if r[1]]), "", _table(header, rows)]
 
 
-def _design_lines(document: dict) -> list[str]:
+def _design_lines(document: dict, units: dict[str, str]) -> list[str]:
     rows = [[n, v, n in document["active"], document["multipliers"].get(n)] for n, v in document["slack"].items()]
-    lines = ["", *(f"{n}: {_number_text(v)}" for n, v in document["parameters"].items())]
+    lines = ["", *(f"{n}: {_number_text(v)}{_unit_of(n, units)}" for n, v in document["parameters"].items())]
     lines += [f"area strain: {_number_text(document['area_strain'])} ({document['regime']})"]
     return [*lines, "", _table(["constraint", "left", "active", "multiplier"], rows)]
 

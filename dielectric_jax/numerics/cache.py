@@ -183,5 +183,11 @@ def enabled_folder() -> pathlib.Path | None:
 
 def say(text: str) -> None:
     """Writes a line about what is being done to standard error, where a person is likely to watch: a terminal or a notebook."""
-    if sys.stderr.isatty() or "ipykernel" in sys.modules:
+    if sys.stderr.isatty() or _in_notebook():
         print(text, file=sys.stderr, flush=True)
+
+
+def _in_notebook() -> bool:
+    """Whether this process is the kernel of a notebook."""
+    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+    return hasattr(shell, "kernel")

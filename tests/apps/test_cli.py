@@ -105,7 +105,11 @@ BAD = [
     (["sweep", "s.toml", "--output", "s.zarr", "--workers", "2", "--scheduler", "a"], "--scheduler", "with --workers"),
     (["sweep", "s.toml", "--output", "s.zarr", "--accept-versions"], "--accept-versions", "--resume"),
     (["sweep", "s.toml", "--output", "s.zarr", "--export", "s.txt"], "--export", ".nc or .csv"),
-    (["draw"], "COMMAND", "voltage-volume, modes, paper, sweep, calibrate, regimes, optimise or follow, but is 'draw'"),
+    (
+        ["draw"],
+        "COMMAND",
+        "voltage-volume, modes, paper, sweep, calibrate, regimes, optimise, follow or explain, but is 'draw'",
+    ),
     (["calibrate"], "DATA.csv", "must be given"),
     (["calibrate", "none.csv"], "DATA.csv", "readable CSV file"),
     (["calibrate", "none.csv", "--level", "2"], "--level", "between 0 and 1"),
