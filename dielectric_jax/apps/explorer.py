@@ -170,8 +170,9 @@ class Explorer:
 
     def _given_scene(self) -> Scene:
         """The scene selected by the controls."""
-        values = {name: control.value for name, control in self.controls.items() if name in _WORDS}
-        kind, given = self.controls["loading"].value, self._base.loading
+        film = self._base.replace(prestretch=self.controls["prestretch"].value)
+        values = {n: control.value / _unit(n, film) for n, control in self.controls.items() if n in _WORDS}
+        kind, given = self.controls["loading"].value, film.loading
         if kind == "constant pressure":
             loading: Any = ConstantPressure(values["pressure"])
         elif kind == "constant voltage":
@@ -184,7 +185,6 @@ class Explorer:
                 atmospheric_pressure=air.atmospheric_pressure,
                 polytropic_exponent=air.polytropic_exponent,
             )
-        film = self._base.replace(prestretch=values["prestretch"])
         return Scene(film.membrane, loading, units=film.units)
 
     def _see(self, scene: Scene, whole: bool) -> Glance | Diagram:
@@ -216,6 +216,19 @@ class Explorer:
         return f"Explorer({self.controls['loading'].value}, prestretches {', '.join(f'{w:g}' for w in self._surfaces)})"
 
 
+def _unit(name: str, scene: Scene) -> float:
+    """What a dimensionless value is multiplied with on its slider, which shows kV, ml, L and mbar on a scene with units."""
+    return 1.0 if scene.units is None or name == "prestretch" else float(scene.units.read(1.0, name))
+
+
+def _words_of(name: str, scene: Scene) -> str:
+    """The description of a slider."""
+    if scene.units is None or name == "prestretch":
+        return _WORDS[name]
+    symbol = "voltage Φ" if name == "voltage" else f"{parameter_of(name).words} {parameter_of(name).symbol}"
+    return f"{symbol} / {scene.units.read_name(name)}"
+
+
 def _controls(widgets: Any, scene: Scene, prestretches: list[float]) -> dict[str, Any]:
     """The buttons of the loading and the sliders, set to the values of a scene."""
     loading = scene.loading
@@ -226,16 +239,18 @@ def _controls(widgets: Any, scene: Scene, prestretches: list[float]) -> dict[str
     wide = {"style": {"description_width": "12em"}, "layout": {"width": "34em"}}
     controls = {"loading": widgets.ToggleButtons(options=list(_LOADINGS), value=kind)}
     low, high, step, value = _DECADES
-    value = known.get("chamber_volume", value)
-    ends = _ends(low, high, step, math.log10(value))
+    unit = _unit("chamber_volume", scene)
+    value = unit * known.get("chamber_volume", value)
+    ends = _ends(low + math.log10(unit), high + math.log10(unit), step, math.log10(value))
     controls["chamber_volume"] = widgets.FloatLogSlider(
-        value=value, description=_WORDS["chamber_volume"], readout_format=".5g", **ends, **wide
+        value=value, description=_words_of("chamber_volume", scene), readout_format=".5g", **ends, **wide
     )
     for name, (low, high, step, value) in _RANGES.items():
-        value = known.get(name, value)
-        ends = _ends(low, high, step, value)
+        unit = _unit(name, scene)
+        value = unit * known.get(name, value)
+        ends = _ends(unit * low, unit * high, unit * step, value)
         controls[name] = widgets.FloatSlider(
-            value=value, description=_WORDS[name], readout_format=".3f", **ends, **wide
+            value=value, description=_words_of(name, scene), readout_format=".3f", **ends, **wide
         )
     controls["prestretch"] = widgets.SelectionSlider(
         options=[(f"{w:g}", w) for w in prestretches],

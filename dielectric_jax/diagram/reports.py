@@ -224,7 +224,7 @@ def report(
 ) -> Report:
     """What happens to a membrane as the voltage rises slowly from zero, in words, with its regime, its table and its picture.
 
-    The scene is one of `voltage_volume`, whose options these are; at a constant voltage the report tells of the pressure. Numbers in the sentences
+    The scene is one of `voltage_volume`, whose options these are; at a constant voltage the report describes the pressure. Numbers in the sentences
     are in the units of the scene (kV, ml, mbar), dimensionless where it carries none. `dielectric-jax explain WORD` explains the
     words. Raises what `voltage_volume` raises.
 

@@ -233,6 +233,22 @@ def test_units_are_those_of_the_scene():
     seen = dj.apps.explore(dj.Scene.from_si(membrane, chamber, units), prestretches=[1.0])
     assert "kV" in seen.axes.get_ylabel() and "ml" in seen.axes.get_xlabel()
     assert f"Φ = {0.0764953595449 * 32.88422182218:.4g} kV" in seen.message.value  # H = 1 mm, times 32.88 MV/m
+    sliders = {name: seen.controls[name] for name in ("chamber_volume", "initial_volume", "pressure", "voltage")}
+    units_of_sliders = [slider.description.rsplit(" / ", 1)[1] for slider in sliders.values()]
+    assert units_of_sliders == ["L", "ml", "mbar", "kV"]
+    assert sliders["chamber_volume"].value == pytest.approx(18.225, rel=1e-9)
+    sliders["initial_volume"].value = 26.0  # ml
+    assert seen.scene.value_of("initial_volume") == pytest.approx(26e-6, rel=1e-9)
+
+
+def test_an_opening_stays_as_the_prestretch_changes():
+    air = dj.Chamber(volume=18.225e-3, initial_volume=12e-6, atmospheric_pressure=100e3)
+    scene = dj.Scene.from_si(dj.Membrane(), air, dj.Units.for_opening("22.5 mm"))
+    seen = dj.apps.explore(scene, prestretches=[1.0, 1.5])
+    seen.controls["prestretch"].value = 1.5
+    assert float(seen.scene.units.radius) == pytest.approx(15e-3, rel=1e-12)
+    assert seen.scene.value_of("chamber_volume") == pytest.approx(18.225e-3, rel=1e-9)
+    assert seen.scene.value_of("atmospheric_pressure") == pytest.approx(100e3, rel=1e-12)
 
 
 def test_it_is_shown_by_its_widget(paper):

@@ -27,7 +27,7 @@ from dielectric_jax.sweeps import sweeps
 LONG = "9" * 5000
 VALUES = [
     "nan", "inf", "-inf", "1e308", "-1e308", "1e-308", "1e400", "0", "-0.0", "-1", "1.5", "", " ", "text", "9" * 400, LONG, "-" + LONG,
-    "\0", "1\0", "λ≠", "½", "\ud800", "a\nb", "1,5", "0x10", "1e", "--", "-", "/", "/dev/null/x", "a" * 300, "None", "True", "[1]",
+    "\0", "1\0", "λ≠", "½", "\ud800", "a\nb", "1,5", "0x10", "1e", "--", "-", "/", "/dev/null/x", "a" * 300, "None", "True", "[1]", "5 ml", "3kV", "1e999 l",
 ]  # fmt: skip
 NO_NUMBERS = ("nan", "inf", "-inf", "1e400", "", "text", "\0", "λ≠", "1,5", "0x10", "1e", "a\nb", "[1]")
 COMMANDS = {
@@ -70,7 +70,7 @@ def stopped(monkeypatch, tmp_path):
         (sweeps.ZarrStore, "create"),
     ):
         monkeypatch.setattr(module, name, reach, raising=name != "calibrate")
-    monkeypatch.setattr(arguments, "_parser", functools.cache(arguments._parser))  # half of the time of a line
+    monkeypatch.setattr(arguments, "make_parser", functools.cache(arguments.make_parser))  # half of the time of a line
     monkeypatch.setenv("DIELECTRIC_JAX_CACHE", "off")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "data.csv").write_text("volume,pressure\n0.5,1.0\n1.0,1.4\n2.0,1.8\n")
@@ -109,7 +109,7 @@ def fault(status, out: str, err: str) -> str | None:
 @functools.cache
 def options(command: str) -> list[argparse.Action]:
     """The options of a command and its operands, as the parser knows them."""
-    (commands,) = (a for a in arguments._parser()._actions if isinstance(a, argparse._SubParsersAction))
+    (commands,) = (a for a in arguments.make_parser()._actions if isinstance(a, argparse._SubParsersAction))
     return [a for a in commands.choices[command]._actions if a.dest != "help"] if command in commands.choices else []
 
 
@@ -161,8 +161,8 @@ thickness = 1e-3
 material = "gent"
 stretch_limit = 270.0
 breakdown = "vhb"
-initial_volume = 2.42
-atmospheric_pressure = 50.0
+initial_volume = "27.5 ml"
+atmospheric_pressure = 100e3
 polytropic_exponent = 1.0
 stretch_window = [1.0, 11.0]
 load_window = [-1.0, 1.0]
@@ -170,7 +170,7 @@ load_window = [-1.0, 1.0]
 prestretch = [1.0, 1.25]
 breakdown_field_scale = { from = 0.8, to = 1.2, count = 3, spacing = "log" }
 [zip.case]
-chamber_volume = [1600.0, 2000.0]
+chamber_volume = [0.018, "20 l"]
 [samples.drawn]
 method = "sobol"
 count = 4
@@ -215,15 +215,16 @@ material = "viscoelastic"
 elastic = "gent"
 stretch_limit = 110.0
 branches = [{ modulus_ratio = 1.0, relaxation_time = 2.0 }]
-chamber_volume = 1600.0
-initial_volume = 2.42
+chamber_volume = 18.2e-3
+initial_volume = 27.5e-6
 [units]
-thickness = 1e-3
+thickness = "1 mm"
+opening_radius = 22.5e-3
 [voltage]
 protocol = "ramp"
-rate = [0.01, 0.1]
+rate = [300.0, 3000.0]
 start = 0.0
-stop = 0.3
+stop = 9000.0
 [follow]
 start = "fresh"
 until = 10.0
@@ -235,7 +236,7 @@ LITERALS = [
     "nan", "inf", "-inf", "-1", "-1.5", "0", "0.0", "1", "1.5", "1e308", "-1e308", "1e-308", "1e400", "9" * 400, "-" + "9" * 400, LONG,
     "1000000000000", '""', '"text"', '"1"', r'"\u0000"', '"λ"', "[]", "{}", '[1, "a"]', "[[1.0]]", "[nan, 1.0]", "[1.0, inf]", "[2.0, 1.0]",
     "[1.0, 1.0]", "[1.0, 1e308]", "[true, false]", "[0, 5]", "[-3.0, 2.0]", "[" + "9" * 400 + "]", "{ a = 1 }", "{ from = 1 }", "true", "false",
-    "1979-05-27", "1979-05-27T07:32:00Z", "07:32:00", "{ from = 1.0, to = 2.0, count = 1000000000000 }", "{ from = nan, to = 2.0, count = 3 }",
+    "'3 kV'", "'5 ml'", "'1e999 l'", "1979-05-27", "1979-05-27T07:32:00Z", "07:32:00", "{ from = 1.0, to = 2.0, count = 1000000000000 }", "{ from = nan, to = 2.0, count = 3 }",
     "{ from = 1.0, to = inf, count = 3 }", "{ from = 1.0, to = 2.0, count = -1 }", "{ from = 1.0, to = 2.0, count = true }",
     "{ from = -1.0, to = 2.0, count = 3, spacing = 'log' }", "{ from = 1.0, to = 2.0, count = 3, spacing = [] }",
     "{ distribution = [], from = 1.0, to = 2.0 }", "{ distribution = 'normal', mean = 1.0, standard_deviation = 1e308 }",
