@@ -189,7 +189,7 @@ def _find_table(path, lines: list[Line], wanted: Wanted) -> Table:
     first = _first_row(lines)
     if first == len(lines):
         raise ValueError(f"`data` must have columns named {wanted.text} with numbers, but {path} has no numbers.")
-    if wanted.columns is not None and all(str(c).isdigit() for c in wanted.columns):
+    if wanted.columns is not None and all(re.fullmatch(r"[0-9]{1,9}", str(c)) for c in wanted.columns):
         return _by_place(path, lines, first, [int(c) for c in wanted.columns], wanted)
     above = [line for line in reversed(lines[:first])]
     wrong: ValueError | None = None
