@@ -344,7 +344,7 @@ def _write(document: dict, draw: Callable[[], Any], args: argparse.Namespace) ->
         matplotlib.use("Agg")
         draw().savefig(figure, dpi=150)
         say(f"wrote {figure}")
-    if args.json is None:
+    if args.json != "-":
         readable = getattr(args, "readable", None) or _in_units(document, args.units, read=True)
         sentences = getattr(args, "sentences", ())
         print("\n".join([*sentences, *([""] if sentences else []), summary(readable)]), flush=True)

@@ -80,7 +80,7 @@ def _clauses(diagram: Diagram, up: tuple[Event, ...], words: _Words) -> list[str
         elif event.reason == "slack":
             clauses.append(f"goes slack {here}")
         else:
-            clauses.append(f"is followed no further than {here} ({event.reason})")
+            clauses.append(f"is stable up to the end of the computation {here} ({event.reason})")
     return clauses
 
 
@@ -89,9 +89,9 @@ def _back(down: list[Event], control: str, words: _Words) -> str:
     jumps = [e for e in down if e.event == RampEvent.snap_back]
     if jumps:
         places = " and ".join(words(e.state, control) for e in jumps)
-        return f"When the {control} is lowered, it snaps back at {places}."
+        return f"If the {control} is instead lowered after the snap, the membrane snaps back at {places}."
     if down and down[-1].reason == "zero voltage":
-        return f"When the {control} is lowered to zero, it stays expanded."
+        return f"If the {control} is instead lowered to zero after the snap, the membrane stays expanded."
     return ""
 
 
