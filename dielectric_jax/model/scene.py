@@ -145,7 +145,7 @@ class Scene(Readable):
         """The scene of a loading whose numbers are in SI (Pa, m³, …), with `units` (default `Units()`) carried along.
 
         A `VHBBreakdown` of the membrane gets the units' μ and ε, with a warning where they are not those of VHB; the field of a
-        `ConstantBreakdown` is in V/m. The membrane's other numbers are dimensionless as ever.
+        `ConstantBreakdown` is in V/m. The membrane's other numbers are dimensionless as ever. A loading that looks dimensionless is refused.
 
         >>> chamber = Chamber(volume=18.225e-3, initial_volume=27.565e-6, atmospheric_pressure=100e3)
         >>> scene = Scene.from_si(Membrane(), chamber)
@@ -160,7 +160,10 @@ class Scene(Readable):
         if doubt:
             warnings.warn(doubt, UserWarning, stacklevel=2)
         changed = _rebuild(membrane, (), {"breakdown": _law_from_si(membrane.breakdown, units)})
-        return cls(changed, units.from_si(loading), Window() if window is None else window, units)
+        made = cls(changed, units.from_si(loading), Window() if window is None else window, units)
+        measured = [n for n, row in PARAMETERS.items() if row.kind in _MEASURED and made.has(n)]
+        made.check_in_si({n: made.value_of(n) for n in measured})
+        return made
 
     def replace(self, **parameters) -> "Scene":
         """The scene with other values of the named parameters; setting one side of a filling clears the other.

@@ -82,7 +82,7 @@ def test_another_film_leaves_the_chamber_what_it_is_in_si(name):
     """The worst case over an uncertain film is that of diagrams in which the optimised chamber keeps its litres."""
     chamber = dj.Chamber(volume=18e-3, initial_volume=27e-6, atmospheric_pressure=100e3)
     scene = dj.Scene.from_si(dj.Membrane(dj.Gent(120.0)), chamber, dj.Units(thickness=0.8e-3))
-    limits = {"chamber_volume": (1500.0, 1700.0)}
+    limits = {"chamber_volume": ("17.1 l", "19.3 l")}
     best = dj.maximise_area_strain(scene, limits, uncertain={name: 0.02}, check=False)
     chosen = scene.replace(**best.parameters)
     nominal = float(getattr(chosen.units, name))

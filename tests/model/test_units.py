@@ -108,6 +108,7 @@ def test_a_constant_field_is_in_volts_a_metre():
 @pytest.mark.parametrize(
     "ask",
     [
+        lambda made: dj.Scene.from_si(made.membrane, dj.Chamber(1600.0, 2.42, atmospheric_pressure=100e3)),
         lambda made: made.replace(chamber_volume=1600.0),
         lambda made: made.replace(atmospheric_pressure=50.0),
         lambda made: dj.sweep(made, chamber_volume=[800.0, 1600.0], progress=False),
