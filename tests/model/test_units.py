@@ -356,7 +356,7 @@ def test_the_command_line_reads_in_mbar(capsys):
 
 
 def test_the_command_line_asks_for_si(capsys):
-    assert main(["equilibrium", "--volume", "1", "--radius", "0.02"]) == 2
+    assert main(["equilibrium", "--volume", "1 ml", "--radius", "0.02"]) == 2
     assert capsys.readouterr().err == "dielectric-jax: --radius must be given with --si only.\n"
     assert main(["equilibrium", "--si", "--volume", "1"]) == 2
     assert "These numbers are dimensionless" in capsys.readouterr().err
@@ -393,3 +393,40 @@ def test_a_chamber_in_si(capsys):
     assert ramp["breakdown"]["voltage"] == pytest.approx(BREAKDOWN * VOLTAGE, rel=1e-9)
     assert document["scene"]["atmospheric_pressure"] == pytest.approx(100e3)
     assert document["scene"]["chamber_volume"] == pytest.approx(1600 * VOLUME)
+
+
+def test_quantities_with_units_on_the_command_line(capsys):
+    """They imply --si, the opening gives the radius, and a plain number beside them is refused."""
+    state = ["equilibrium", "--volume", "27.5653125 ml", "--voltage", "1.6 kV"]
+    ring = ["--prestretch", "1.5", "--opening-radius", "33.75 mm", "--thickness", "1 mm", "--shear-modulus", "45 kPa"]
+    (found,) = answer(capsys, *state, *ring)["states"]
+    membrane = dj.Membrane(prestretch=1.5)
+    known = dj.equilibrium(membrane, volume=2.42, voltage=1.6e3 / VOLTAGE)
+    assert found["pressure"] == pytest.approx(known.pressure * PRESSURE, rel=1e-9)
+    assert found["volume"] == pytest.approx(2.42 * VOLUME, rel=1e-9)
+    for words, said in [
+        (
+            ["equilibrium", "--volume", "8 ml", "--voltage", "0.1"],
+            "--voltage must be given with a unit, as --volume is",
+        ),
+        (["equilibrium", "--volume", "8 kV"], "--volume must be a number with a unit such as m³, L, ml"),
+        (
+            ["equilibrium", "--volume", "1 ml", "--radius", "2 cm", "--opening-radius", "3 cm"],
+            "--opening-radius must not be",
+        ),
+        (["equilibrium", "--volume", "1 ml", "--breakdown", "80"], "--breakdown must be given with a unit"),
+        (["voltage-volume", "--pressure", "1", "--shapes"], "--shapes must be given with --figure only"),
+    ]:
+        assert main(words) == 2
+        assert said in capsys.readouterr().err
+
+
+def test_words_are_explained_on_the_command_line(capsys):
+    assert main(["explain", "breaks_in_snap"]) == 0
+    assert capsys.readouterr().out.startswith("The membrane snaps, and the state that it would land on")
+    assert main(["explain", "fold", "breakdown ratio"]) == 0
+    assert capsys.readouterr().out.count("\n") == 2
+    assert main(["explain"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == len(dj.model.GLOSSARY)
+    assert main(["explain", "retruns"]) == 2
+    assert "WORD must be a word of the glossary, but 'retruns' resembles returns" in capsys.readouterr().err
