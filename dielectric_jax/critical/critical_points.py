@@ -251,7 +251,8 @@ def snap_voltage(scene: Scene, *, surface: Surface | None = None):
     >>> round(1e5 * float(slope), 6)
     -1.27029
     """
-    return scene.in_units(_fold_voltage(scene, "snap", surface), "voltage")
+    value = _fold_voltage(scene, "snap", surface)
+    return scene.in_units(value, "voltage")
 
 
 def snap_point(scene: Scene, *, surface: Surface | None = None, throw: bool = True) -> CriticalPoint:
@@ -261,7 +262,8 @@ def snap_point(scene: Scene, *, surface: Surface | None = None, throw: bool = Tr
 
 def snap_back_voltage(scene: Scene, *, surface: Surface | None = None):
     """The voltage of the first fold on the ramp down from the last landing; otherwise like `snap_voltage`."""
-    return scene.in_units(_fold_voltage(scene, "snap_back", surface), "voltage")
+    value = _fold_voltage(scene, "snap_back", surface)
+    return scene.in_units(value, "voltage")
 
 
 def snap_back_point(scene: Scene, *, surface: Surface | None = None, throw: bool = True) -> CriticalPoint:
@@ -323,7 +325,8 @@ def breakdown_point(scene: Scene, *, surface: Surface | None = None, throw: bool
 
 def breakdown_voltage(scene: Scene, *, surface: Surface | None = None):
     """The voltage at which the ramp up breaks down, in V on a scene with units; see `breakdown_point`."""
-    return scene.in_units(breakdown_point(scene, surface=surface).voltage, "voltage")
+    point = breakdown_point(scene, surface=surface)
+    return scene.in_units(point.voltage, "voltage")
 
 
 def area_strain(scene: Scene, *, surface: Surface | None = None):

@@ -205,7 +205,8 @@ def bistability_onset(scene: Scene):
     >>> round(float(bistability_onset(scene)), 6)
     1455.896262
     """
-    return scene.in_units(bistability_point(scene).parameter, "chamber_volume")
+    point = bistability_point(scene)
+    return scene.in_units(point.parameter, "chamber_volume")
 
 
 def cusp(
