@@ -356,7 +356,7 @@ def test_the_command_line_reads_in_mbar(capsys):
 
 
 def test_the_command_line_asks_for_si(capsys):
-    assert main(["equilibrium", "--volume", "1 ml", "--radius", "0.02"]) == 2
+    assert main(["equilibrium", "--volume", "1", "--radius", "0.02"]) == 2
     assert capsys.readouterr().err == "dielectric-jax: --radius must be given with --si only.\n"
     assert main(["equilibrium", "--si", "--volume", "1"]) == 2
     assert "These numbers are dimensionless" in capsys.readouterr().err
