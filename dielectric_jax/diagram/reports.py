@@ -18,6 +18,7 @@ from ..model import (
     Scene,
     SpecialPoint,
     Units,
+    column_heads,
     control_of,
     explain,
     mechanical,
@@ -172,20 +173,18 @@ class Report:
         units = self.scene.units
         records: typing.Any = self.diagram.events or self.diagram.special_points
         shown = records if units is None else units.read(records)
-        named = {} if units is None else units.names(read=True)
-        heads = ["", *(n.replace("_", " ") + (f" / {named[n]}" if n in named else "") for n in names)]
         rows = []
         for record in shown:
             special = isinstance(record, SpecialPoint)
             what = record.kind if special else f"{record.event} ({record.direction})"
             state = record if special else record.state
             rows.append([str(what), *(f"{getattr(state, n):.6g}" for n in names)])
-        return heads, rows
+        return ["", *column_heads(names, units)], rows
 
     def __str__(self) -> str:
-        heads, rows = self._rows()
-        widths = [max(map(len, column)) for column in zip(heads, *rows, strict=True)]
-        table = ["  " + "  ".join(c.ljust(w) for c, w in zip(r, widths, strict=True)).rstrip() for r in (heads, *rows)]
+        first, rows = self._rows()
+        widths = [max(map(len, column)) for column in zip(first, *rows, strict=True)]
+        table = ["  " + "  ".join(c.ljust(w) for c, w in zip(r, widths, strict=True)).rstrip() for r in (first, *rows)]
         return "\n".join([*self.lines, "", *table])
 
     __repr__ = __str__

@@ -45,7 +45,18 @@ from .points import Points, Shooting, compile_ahead, corrected_points
 from .profiles import energy, profile, scaling_defect
 from .programs import jacobian_program, value_program
 from .quantities import VACUUM_PERMITTIVITY, example_units, is_unit_absolute, quantity, unit_size
-from .records import Branch, Event, Ramp, SpecialPoint, State, events_table, plain, points_table, voltage_of
+from .records import (
+    Branch,
+    Event,
+    Ramp,
+    SpecialPoint,
+    State,
+    column_heads,
+    events_table,
+    plain,
+    points_table,
+    voltage_of,
+)
 from .resolution import CHUNK, GRIDS, LARGEST_FIELD, LEAST_ESTIMATE, LOAD_PANELS, MOST_STEPS, SCALE, SCANNED_LOAD
 from .scene import Scene, Window, describe, describe_in_units, doubt_of_vhb, pair
 from .scene_batch import LANES, Corrected, SceneBatch, calls, difficulty, load_fraction, locking_stretch, padded, pick
@@ -134,6 +145,7 @@ __all__ = [
     "calls",
     "capacitance",
     "change_of",
+    "column_heads",
     "compile_ahead",
     "control_of",
     "corrected_points",

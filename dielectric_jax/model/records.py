@@ -35,7 +35,17 @@ def html_table(heads: Sequence[str], rows: Sequence[Sequence[Any]], caption: str
     return f"<table>{title}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
-__all__ = ["QUANTITIES", "Branch", "Event", "Ramp", "SpecialPoint", "State", "events_table", "points_table"]
+__all__ = [
+    "QUANTITIES",
+    "Branch",
+    "Event",
+    "Ramp",
+    "SpecialPoint",
+    "State",
+    "column_heads",
+    "events_table",
+    "points_table",
+]
 
 #: the columns of a branch, in the order of the JSON document
 QUANTITIES = (
@@ -229,10 +239,11 @@ def points_table(points: list[SpecialPoint], caption: str = "", units: Any = Non
     names = ("voltage", "pressure", "volume", "apex_stretch", "breakdown_ratio", "index")
     shown = points if units is None else units.read(points)
     rows = [[p.kind, p.branch, *(getattr(p, n) for n in names)] for p in shown]
-    return html_table(["kind", "branch", *_heads(names, units)], rows, caption)
+    return html_table(["kind", "branch", *column_heads(names, units)], rows, caption)
 
 
-def _heads(names: tuple[str, ...], units: Any) -> list[str]:
+def column_heads(names: tuple[str, ...], units: Any) -> list[str]:
+    """The heads of columns, with the units in which people read them."""
     named = {} if units is None else units.names(read=True)
     return [n.replace("_", " ") + (f" / {named[n]}" if n in named else "") for n in names]
 
@@ -242,4 +253,4 @@ def events_table(events: tuple[Event, ...], caption: str = "", units: Any = None
     names = ("voltage", "pressure", "volume", "apex_stretch", "breakdown_ratio")
     shown = events if units is None else units.read(events)
     rows = [[e.event, e.direction, *(getattr(e.state, n) for n in names), e.reason or ""] for e in shown]
-    return html_table(["event", "direction", *_heads(names, units), "reason"], rows, caption)
+    return html_table(["event", "direction", *column_heads(names, units), "reason"], rows, caption)
