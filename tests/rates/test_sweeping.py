@@ -107,3 +107,18 @@ def test_scenes_without_an_answer_have_the_numbers_of_other_sweeps():
     for name in ("not_computed", "no_answer", "invalid_scene", "failed"):
         assert RunOutcome[name] == dj.sweeps.Answer[name]
     assert RunOutcome.not_followed == dj.sweeps.Answer.unresolved
+
+
+def test_rates_in_si():
+    """In V and m³, by a sweep and by `rates.snap_voltage`, against the same ramp without units."""
+    rubber = dj.Viscoelastic(dj.Gent(270.0), [dj.Maxwell(dj.Gent(270.0), modulus_ratio=1.0, relaxation_time=1.0)])
+    free = dj.Scene(dj.Membrane(rubber), dj.Chamber(volume=1600.0, initial_volume=2.42))
+    units = dj.Units()
+    made = dj.Scene.from_si(free.membrane, units.to_si(free.loading), units)
+    volt = float(units.to_si(1.0, "voltage"))
+    known = dj.follow(free, voltage=dj.Ramp(rate=0.01)).snap.at
+    data = dj.sweep(made, rate=[0.01 * volt], engine=dj.rates.InTime(check=False), progress=False)
+    assert float(data.snap_voltage[0]) == pytest.approx(known.voltage * volt, rel=1e-6)
+    assert float(data.snap_volume[0]) == pytest.approx(float(units.to_si(known.volume, "volume")), rel=1e-6)
+    assert data.snap_voltage.attrs["units"] == "V"
+    assert float(dj.rates.snap_voltage(made, 0.01 * volt)) == pytest.approx(known.voltage * volt, rel=1e-6)
