@@ -120,9 +120,7 @@ def _check(scene, parameter, within, samples, kinds, largest_ratio) -> tuple[flo
     if not isinstance(scene.loading, (Chamber, ConstantPressure, ConstantVoltage)):
         raise other_loading(scene.loading, Chamber, ConstantPressure, ConstantVoltage)
     scene.check_varies(parameter)
-    low, high = pair(
-        "within", [scene.number_of(parameter, v) for v in within] if isinstance(within, (list, tuple)) else within
-    )
+    low, high = pair("within", scene.numbers_of(parameter, within))
     for value in (low, high):
         scene.replace(**{parameter: value})
     if not (isinstance(samples, int) and samples >= 2):

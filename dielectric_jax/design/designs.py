@@ -143,6 +143,7 @@ def classify_designs(
     >>> [Regime(int(r)).name for r in found.regime]
     ['breaks_in_snap', 'returns', 'no_snap', 'returns', 'stays']
     """
+    parameters = {name: scene.numbers_of(name, values) for name, values in parameters.items()}
     scene.check_in_si(parameters)
     found = designs_on_surfaces(scene, parameters, surface=surface)
     if whole:

@@ -183,7 +183,7 @@ def check_range(name: str, limits, scene: Scene | None = None) -> tuple[float, f
         scene.check_varies(name)
     if scene is not None and isinstance(limits, (list, tuple)):
         scene.check_in_si({name: [v for v in limits if isinstance(v, (int, float))]})
-        limits = [scene.number_of(name, v) for v in limits]
+        limits = scene.numbers_of(name, limits)
     try:
         low, high = (float(v) for v in limits)
     except (TypeError, ValueError, OverflowError):

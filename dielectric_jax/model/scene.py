@@ -225,6 +225,10 @@ class Scene(Readable):
             raise ValueError(f"`{name}` must be a number, because the scene carries no `units`, but is {shown(value)}.")
         return from_text(name, value)
 
+    def numbers_of(self, name: str, values: typing.Any) -> typing.Any:
+        """`number_of` of every value in a list or tuple; anything else stays."""
+        return [self.number_of(name, v) for v in values] if isinstance(values, (list, tuple)) else values
+
     def check_in_si(self, given: Mapping[str, typing.Any]) -> None:
         """Raises ValueError for numbers of parameters, or lists of them, that look dimensionless on a scene with units."""
         if self.units is not None:

@@ -246,8 +246,6 @@ def axes_of(parameters: Mapping[str, typing.Any], scene: Scene | None = None) ->
     """One axis for each parameter, with the name of the parameter; texts with units as numbers in SI."""
 
     def numbers(name: str, values: typing.Any) -> typing.Any:
-        if isinstance(scene, Scene) and isinstance(values, (list, tuple)):
-            return [scene.number_of(name, v) for v in values]
-        return values
+        return scene.numbers_of(name, values) if isinstance(scene, Scene) else values
 
     return tuple(Axis(name, {name: numbers(name, values)}) for name, values in parameters.items())

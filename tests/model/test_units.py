@@ -167,7 +167,8 @@ def test_a_scene_in_si_gives_the_same_answers_in_si():
         assert data.chamber_volume.attrs["units"] == data.start_volume.attrs["units"] == "m3"
         assert data.snap_voltage.attrs["units"] == "V" and "counted_in" not in data.snap_voltage.attrs
         assert data.snap_pressure.attrs["units"] == "Pa" and data.area_strain.attrs["units"] == "1"
-    found = dj.classify_designs(made, {"chamber_volume": np.array([460.0, 475.0, 500.0, 1600.0]) * VOLUME})
+    litres = [f"{1e3 * volume * VOLUME!r} l" for volume in (460.0, 475.0, 500.0, 1600.0)]
+    found = dj.classify_designs(made, {"chamber_volume": litres})
     assert [dj.Regime(int(r)).name for r in found.regime] == ["breaks_in_snap", "returns", "no_snap", "stays"]
     edges = dj.design.regime_edges(made, {"chamber_volume": ("15 l", "20 l")}, points=40)
     assert [e.value for e in edges] == pytest.approx([onset], rel=1e-8)
