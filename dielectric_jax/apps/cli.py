@@ -212,11 +212,13 @@ def _run_follow(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], A
     if asked.check:
         dj.rates.estimate_errors(followed)
 
-    def document(run: Any, *units: Any, **read: Any) -> dict:
-        return {"error": str(run)} if isinstance(run, Exception) else run.to_json(*units, check=asked.check, **read)
+    def document(run: Any, **read: Any) -> dict:
+        if isinstance(run, Exception):
+            return {"error": str(run)}
+        return run.to_json(asked.units, check=asked.check, **read)
 
     documents = [document(run) for run in found]
-    readable = [document(run, asked.units, read=True) for run in found]
+    readable = [document(run, read=True) for run in found]
     args.readable = readable[0] if count == 1 else {"runs": readable}
 
     def draw() -> Any:

@@ -91,7 +91,7 @@ def test_both_doors_give_the_same_run(answered):
 
 
 def test_the_table_and_several_rates(capsys, monkeypatch, tmp_path):
-    """In kV and ml where the file has [units]; the kind of the snap is in the sentence. A run at a time compiles nothing new."""
+    """In kV and ml, and JSON in SI, where the file has [units]; the kind of the snap is in the sentence. A run at a time compiles nothing new."""
     monkeypatch.setattr(requests, "RUNS_TOGETHER", 1)
     spec = changed(
         tmp_path,
@@ -110,7 +110,10 @@ def test_the_table_and_several_rates(capsys, monkeypatch, tmp_path):
     assert main(["follow", spec, "--json", "-"]) == 0
     runs = json.loads(capsys.readouterr().out)["runs"]
     assert [run["snap"]["kind"] for run in runs] == ["creep_through", "jump"]
-    assert runs[1]["units"] == "dimensionless" and runs[1]["events"][0]["error_estimate"] is None
+    assert runs[1]["units"] == "SI" and runs[1]["events"][0]["error_estimate"] is None
+    assert runs[1]["unit_names"]["volume"] == "m³" and runs[1]["protocol"]["voltage"]["rate"] == pytest.approx(328.8422)
+    at = runs[1]["snap"]["at"]
+    assert (at["voltage"], at["volume"]) == pytest.approx((6663.05, 62.1196e-6), rel=1e-5)
 
 
 RATE = "rate = 0.01 # a list such as [0.001, 0.01, 0.1]: several runs, side by side"
