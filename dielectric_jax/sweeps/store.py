@@ -22,9 +22,9 @@ from .axes import Design
 from .resolution import LONGEST_CHUNK
 from .variables import Variable, described, described_in_si
 
-__all__ = ["Memory", "ZarrStore", "need", "open_group"]
+__all__ = ["Memory", "ZarrStore", "compare", "held", "make_store", "need", "open_group"]
 
-_FORMAT = "dielectric_jax sweep 1"
+_FORMAT = "dielectric_jax sweep 2"
 
 
 def need(module: str, extra: str = "io") -> typing.Any:
@@ -76,6 +76,14 @@ class Memory:
         }  # fmt: skip
         self._design = design
 
+    def known(self, number: int) -> np.ndarray:
+        """Which scenes of a block are known before it is computed: none."""
+        return np.zeros([s.stop - s.start for s in self.parts[number]], bool).ravel()
+
+    def with_known(self, number: int, answer: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """The variables of a whole block: those that were computed."""
+        return answer
+
     def write(self, number: int, answer: dict[str, np.ndarray]) -> None:
         """Stores the variables of a block."""
         for name, array in self._arrays.items():
@@ -100,6 +108,7 @@ class ZarrStore:
         self.chunk = tuple(int(c) for c in group.attrs["block_shape"])
         self.parts = design.blocks(self.chunk)
         self.done = np.asarray(group["block_done"][:])
+        self._known = np.asarray(group["scene_known"][:])
         self._opened = {v.name: group[v.name] for v in variables}
 
     @staticmethod
@@ -110,12 +119,10 @@ class ZarrStore:
         path = pathlib.Path(path)
         part = path.with_name(path.name + ".part")
         part.mkdir(parents=True, exist_ok=True)
-        with _held(part, path):
+        with held(part, path):
             if path.exists():
                 raise StoreError(f"{str(path)!r} is there already; resume it, or name another store.")
-            for old in part.iterdir():
-                shutil.rmtree(old) if old.is_dir() else old.unlink()
-            _fill(zarr, part, design, chunk, variables, attributes)
+            make_store(zarr, part, design, chunk, variables, attributes)
             os.rename(part, path)
             yield ZarrStore(path, zarr.open_group(str(path), mode="r+", use_consolidated=False), design, variables)
 
@@ -125,9 +132,9 @@ class ZarrStore:
         """An existing store that matches the sweep, locked against other writers. Damaged blocks are marked as not done."""
         zarr = need("zarr")
         path = pathlib.Path(path)
-        with _held(path, path):
+        with held(path, path):
             group = open_group(path, mode="r+")
-            _compare(path, dict(group.attrs), attributes, accept_versions)
+            compare(path, dict(group.attrs), attributes, accept_versions)
             for half in path.rglob("*.partial"):  # left by a killed writer
                 half.unlink(missing_ok=True)
             store = ZarrStore(path, group, design, variables)
@@ -151,10 +158,32 @@ class ZarrStore:
         return found
 
     def forget(self, numbers: list[int]) -> None:
-        """Marks blocks as not done."""
+        """Marks blocks as not done, and their scenes as not known."""
         for number in numbers:
             self._group["block_done"][number] = False
+            self._group["scene_known"][self.parts[number]] = False
+            self._known[self.parts[number]] = False
             self.done[number] = False
+
+    def stored(self, name: str, part: tuple[slice, ...]) -> np.ndarray:
+        """The values of a variable in a part of the grid."""
+        return np.asarray(self._opened[name][part])
+
+    def known(self, number: int) -> np.ndarray:
+        """Which scenes of a block are known from before the axes were extended, in grid order."""
+        return self._known[self.parts[number]].ravel()
+
+    def with_known(self, number: int, answer: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """The variables of a whole block from those of the scenes that were not known."""
+        known = self.known(number)
+        if not known.any():
+            return answer
+        whole = {}
+        for v in self._variables:
+            whole[v.name] = self.stored(v.name, self.parts[number]).reshape(known.size, *v.dims.values())
+            if not known.all():
+                whole[v.name][~known] = answer[v.name]
+        return whole
 
     def write(self, number: int, answer: dict[str, np.ndarray]) -> None:
         """Stores the variables of a block, all or nothing."""
@@ -174,7 +203,8 @@ class ZarrStore:
 
 
 @contextlib.contextmanager
-def _held(folder: pathlib.Path, path: pathlib.Path):
+def held(folder: pathlib.Path, path: pathlib.Path):
+    """Holds the lock of a folder of the store at `path`; raises StoreError where another process holds it."""
     try:
         with alone(folder, wait=False):
             yield
@@ -182,8 +212,10 @@ def _held(folder: pathlib.Path, path: pathlib.Path):
         raise StoreError(f"{str(path)!r} is being written by another process.") from None
 
 
-def _fill(zarr, path: pathlib.Path, design: Design, chunk, variables: list[Variable], attributes: dict) -> None:
-    """Writes the metadata of every variable, and the coordinates."""
+def make_store(zarr, path: pathlib.Path, design: Design, chunk, variables: list[Variable], attributes: dict) -> None:
+    """Writes the metadata of every variable, and the coordinates, into a folder that is emptied first."""
+    for old in path.iterdir():
+        shutil.rmtree(old) if old.is_dir() else old.unlink()
     group = zarr.create_group(str(path), attributes={"format": _FORMAT, "block_shape": list(chunk), **attributes})
     blocks = len(design.blocks(chunk))
     names = []
@@ -213,6 +245,8 @@ def _fill(zarr, path: pathlib.Path, design: Design, chunk, variables: list[Varia
     ):
         options = {"dimension_names": ("block",), "attributes": {"long_name": words}}
         group.create_array(name, shape=(blocks,), chunks=(1,), dtype=dtype, fill_value=0, **options)
+    options = {"dimension_names": design.dimensions, "attributes": {"long_name": "known before the axes were extended"}}
+    group.create_array("scene_known", shape=design.shape, chunks=chunk, dtype="bool", fill_value=False, **options)
     _consolidate(zarr, path)
 
 
@@ -239,11 +273,11 @@ def open_group(path, mode: typing.Literal["r", "r+"] = "r"):
     return group
 
 
-def _compare(path: pathlib.Path, kept: dict, wanted: dict, accept_versions: bool) -> None:
-    """Refuses to continue a store of another sweep or of other versions."""
+def compare(path: pathlib.Path, kept: dict, wanted: dict, accept_versions: bool, *, but: str = "") -> None:
+    """Refuses to continue a store of another sweep, one that differs in more than `but`, or of other versions."""
     old, new = (json.loads(a["specification"]) for a in (kept, wanted))
     for key in new | old:
-        if old.get(key) != new.get(key):
+        if key != but and old.get(key) != new.get(key):
             raise StoreError(
                 f"{str(path)!r} holds another sweep: `{key}` is {new.get(key)!r} here and {old.get(key)!r} there."
             )

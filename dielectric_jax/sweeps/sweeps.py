@@ -27,6 +27,7 @@ from .axes import Axis, Design, axes_of
 from .blocks import Job, block_size, compute_block
 from .engines import Engine, check_engine, job_variables, parameters_of
 from .executors import Progress, executor_of, run_blocks
+from .extension import extend_store, has_other_axes, undo_half_extension
 from .resolution import FAMILY_FROM, MOST_BLOCKS
 from .store import Memory, ZarrStore, need, open_group
 from .variables import Answer, described_in_si
@@ -62,7 +63,8 @@ def sweep(
         scene: the scene whose parameters are varied.
         *axes: axes of several parameters.
         output: a zarr store to write block by block; the result is then read from it lazily. In memory when None.
-        resume: continue the store if it exists, with its own block size.
+        resume: continue the store if it exists, with its own block size. Where the axes hold more values than the store, in any
+            order, its scenes keep their numbers and only the others are computed.
         accept_versions: continue a store that was begun by other versions.
         engine: "surface", or "continuation", which does not need a surface of each membrane; or an engine with variables of its
             own, such as `dj.rates.InTime`, which does not take `resolve`, `curves`, `modes` and `tolerance`.
@@ -109,7 +111,13 @@ def sweep(
     attributes = _attributes(design, job)
     path = None if output is None else pathlib.Path(output)
     with executor_of(executor) as pool, contextlib.ExitStack() as stack:
+        if path is not None and resume:
+            undo_half_extension(path)
         if path is not None and resume and path.exists():
+            if has_other_axes(path, attributes):
+                chunk = design.chunk(block or block_size(job, design.count))
+                _check_size(design, chunk, variables, False)
+                extend_store(path, design, chunk, variables, attributes, accept_versions)
             store = stack.enter_context(ZarrStore.resume(path, design, variables, attributes, accept_versions))
             damaged = store.damaged()
             store.forget(damaged)
@@ -177,6 +185,7 @@ def _check_names(design: Design, variables) -> None:
         "block",
         "block_done",
         "block_checksum",
+        "scene_known",
         *(v.name for v in variables),
         *(d for v in variables for d in v.dims),
     }
@@ -210,21 +219,25 @@ def _run(pool, job: Job, design: Design, store: Memory | ZarrStore, show: bool |
     sizes = [int(np.prod([s.stop - s.start for s in part])) for part in store.parts]
     done = sum(size for size, known in zip(sizes, store.done, strict=True) if known)
     left = [int(i) for i in design.order(store.chunk) if not store.done[i]]
-    tasks = [(i, functools.partial(_arguments, job, design, store.parts[i])) for i in left]
+    tasks = [(i, functools.partial(_arguments, job, design, store, i)) for i in left if not store.known(i).all()]
     with Progress(design.count, done, show) as bar:
 
         def keep(number, answer):
+            answer = store.with_known(number, answer)
             store.write(number, answer)
             bar.add(sizes[number], int(np.isin(answer["outcome"], [int(a) for a in _UNANSWERED]).sum()))
 
+        for number in set(left) - {number for number, _ in tasks}:
+            keep(number, {})
         # one worker fills the caches of programs and surfaces, from which the others read
         alone = 1 if pool.workers > 1 else 0
         run_blocks(pool, compute_block, tasks[:alone], keep)
         run_blocks(pool, compute_block, tasks[alone:], keep)
 
 
-def _arguments(job: Job, design: Design, part) -> tuple:
-    return job, design.columns(part)
+def _arguments(job: Job, design: Design, store: Memory | ZarrStore, number: int) -> tuple:
+    new = ~store.known(number)
+    return job, {name: column[new] for name, column in design.columns(store.parts[number]).items()}
 
 
 def _say(text: str) -> None:
@@ -298,7 +311,7 @@ def open_sweep(path, *, chunks: typing.Any = None):
     group = open_group(path)
     data = xarray.open_zarr(str(path), chunks=chunks)
     done = int(np.asarray(group["block_done"][:]).sum())
-    data = data.drop_vars(["block_done", "block_checksum"])
+    data = data.drop_vars(["block_done", "block_checksum", "scene_known"])
     for name in ("format", "block_shape"):
         data.attrs.pop(name, None)
     return data.assign_attrs(blocks_done=done, blocks=int(group["block_done"].shape[0]))

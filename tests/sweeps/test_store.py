@@ -155,8 +155,10 @@ def test_another_sweep_or_version_is_refused(undisturbed, tmp_path):
     store = copied(undisturbed, tmp_path)
     with pytest.raises(StoreError, match="is there already"):
         sweep_again(store)
-    with pytest.raises(StoreError, match="another sweep: `axes`"):
+    with pytest.raises(StoreError, match=r"holds `chamber_volume` 600\.0, which the axes do not"):
         dj.sweep(SCENE, chamber_volume=[1.0], output=store, resume=True)
+    with pytest.raises(StoreError, match="another sweep: `axes`"):
+        dj.sweep(SCENE, dj.sweeps.zipped(chamber_volume=[1.0]), output=store, resume=True)
     _, axes, _ = dj.sweeps.read_specification(tmp_path / "spec.toml")
     with pytest.raises(StoreError, match="another sweep: `scene`"):
         dj.sweep(SCENE.replace(initial_volume=2.0), *axes, output=store, resume=True)
@@ -168,6 +170,35 @@ def test_another_sweep_or_version_is_refused(undisturbed, tmp_path):
         sweep_again(store, resume=True)
     data = sweep_again(store, resume=True, accept_versions=True)
     assert data.attrs["history"].count("sweep with dielectric_jax") == 2
+
+
+def test_longer_axes_keep_what_is_stored(undisturbed, tmp_path, monkeypatch):
+    """Values before, between and behind those stored, a damaged block, and a kill between the two renames."""
+    from dielectric_jax.sweeps import sweeps
+
+    store = copied(undisturbed, tmp_path)
+    (store / "snap_voltage/c/1/0").unlink()
+    before = dj.sweeps.open_sweep(undisturbed[1]).load()
+    old = before.chamber_volume.values
+    more = [555.0, 1600.0, 30000.0]
+    volumes = np.array([*more[:2], *old[::-1], more[2]])
+    computed, compute = [], sweeps.compute_block
+
+    def counted(job, columns):
+        computed.extend(columns["chamber_volume"])
+        return compute(job, columns)
+
+    monkeypatch.setattr(sweeps, "compute_block", counted)
+    _, _, given = dj.sweeps.read_specification(tmp_path / "spec.toml")
+    found = dj.sweep(SCENE, chamber_volume=volumes, **given, output=store, resume=True).load()
+    assert sorted(computed) == sorted([*more, *old[8:16]])  # the damaged block is not trusted
+    xr.testing.assert_equal(found.sel(chamber_volume=old), before)
+    xr.testing.assert_equal(found.sel(chamber_volume=more), dj.sweep(SCENE, chamber_volume=more))
+    store.rename(tmp_path / "s.zarr.old")
+    computed.clear()
+    again = dj.sweep(SCENE, chamber_volume=volumes, **given, output=store, resume=True)
+    assert not computed
+    xr.testing.assert_equal(again, found)
 
 
 def test_no_store_is_refused_in_words(tmp_path):
