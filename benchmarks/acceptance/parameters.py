@@ -26,8 +26,16 @@ from dielectric_jax.apps.design_files import read_design_file
 from dielectric_jax.apps.options import MATERIAL_CONSTANTS, BadInput, read_arguments
 from dielectric_jax.design import regime_edges
 from dielectric_jax.diagram import MembraneKey
-from dielectric_jax.model import PARAMETERS, Change, CustomBreakdown, change_of, describe_in_units, parameter_of
-from dielectric_jax.sweeps import read_specification, scene_of
+from dielectric_jax.model import (
+    PARAMETERS,
+    Change,
+    CustomBreakdown,
+    change_of,
+    describe_in_units,
+    parameter_of,
+    scene_of,
+)
+from dielectric_jax.sweeps import read_specification
 
 jax.config.update("jax_enable_x64", True)
 

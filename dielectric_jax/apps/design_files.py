@@ -1,8 +1,7 @@
 """Specifications of design problems in TOML files: a scene, the parameters that vary, and the constraints."""
 
-from ..model import Scene, place_of
+from ..model import Scene, check_sizes, number, other_filling_left_out, place_of, read_toml, refuse, scene_of, table
 from ..numerics import shown
-from ..sweeps import check_sizes, number, other_filling_left_out, read_toml, refuse, scene_of, table
 
 __all__ = ["read_design_file"]
 

@@ -2,10 +2,9 @@
 
 import typing
 
-from ..model import Membrane, Scene, Units
+from ..model import Membrane, Scene, Units, check_sizes, number, one_of, read_toml, refuse, scene_of, table
 from ..numerics import shown
 from ..rates import AbstractProtocol, Hold, Ramp, Steps, Triangle, converted
-from ..sweeps import check_sizes, number, one_of, read_toml, refuse, scene_of, table
 
 __all__ = ["FollowFile", "read_follow_file"]
 

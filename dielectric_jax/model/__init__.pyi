@@ -1,4 +1,5 @@
 from .chart import Scan, cached_scan, explicit_map, map_nodes, stretch_shares
+from .documents import check_sizes, number, one_of, other_filling_left_out, read_toml, refuse, scene_of, table, values
 from .energies import require_float64
 from .films import FILM_MODES, Film, FilmState, Passed, Sampled, film_of, film_states, pass_film
 from .glossary import GLOSSARY, explain
@@ -57,7 +58,17 @@ from .records import (
     points_table,
     voltage_of,
 )
-from .resolution import CHUNK, GRIDS, LARGEST_FIELD, LEAST_ESTIMATE, LOAD_PANELS, MOST_STEPS, SCALE, SCANNED_LOAD
+from .resolution import (
+    CHUNK,
+    GRIDS,
+    LARGEST_FIELD,
+    LEAST_ESTIMATE,
+    LOAD_PANELS,
+    MOST_STEPS,
+    MOST_VALUES,
+    SCALE,
+    SCANNED_LOAD,
+)
 from .scene import Scene, Window, describe, describe_in_units, doubt_of_vhb, pair
 from .scene_batch import LANES, Corrected, SceneBatch, calls, difficulty, load_fraction, locking_stretch, padded, pick
 from .shooting import UNKNOWNS, eighth_order_step, integrate_membrane, rim_with_sensitivities, shoot
@@ -78,6 +89,7 @@ __all__ = [
     "LEAST_ESTIMATE",
     "LOAD_PANELS",
     "MOST_STEPS",
+    "MOST_VALUES",
     "PARAMETERS",
     "REGIME_COLOURS",
     "SCALE",
@@ -145,6 +157,7 @@ __all__ = [
     "calls",
     "capacitance",
     "change_of",
+    "check_sizes",
     "column_heads",
     "compile_ahead",
     "control_of",
@@ -175,6 +188,9 @@ __all__ = [
     "locking_stretch",
     "map_nodes",
     "mechanical",
+    "number",
+    "one_of",
+    "other_filling_left_out",
     "other_loading",
     "padded",
     "pair",
@@ -186,12 +202,15 @@ __all__ = [
     "points_table",
     "profile",
     "quantity",
+    "read_toml",
+    "refuse",
     "refuse_dimensionless",
     "refuse_si",
     "regimes_of",
     "require_float64",
     "rim_with_sensitivities",
     "scaling_defect",
+    "scene_of",
     "shoot",
     "shooting_of",
     "slopes",
@@ -199,8 +218,10 @@ __all__ = [
     "stability_of",
     "stresses",
     "stretch_shares",
+    "table",
     "unit_size",
     "value_program",
+    "values",
     "vhb_4910",
     "voltage_of",
     "window_end",

@@ -168,3 +168,8 @@ LARGEST_FIELD = 1e4
 VHB_MODULI = (10e3, 250e3)
 # and their relative permittivities: a third around the article's 4.7
 VHB_PERMITTIVITIES = (3.0, 6.2)
+
+# --- documents ---
+
+# values of a list in a document or an axis: each is held in memory, some of them for every scene at once; more are refused
+MOST_VALUES = 10**7

@@ -8,9 +8,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..model import PARAMETERS, Scene, parameter_of, place_of
+from ..model import MOST_VALUES, PARAMETERS, Scene, parameter_of, place_of
 from ..numerics import LARGEST, check_whole, shown
-from .resolution import MOST_VALUES
 
 __all__ = ["Axis", "Design", "read_scenes", "samples", "zipped"]
 

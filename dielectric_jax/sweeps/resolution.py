@@ -10,7 +10,6 @@ __all__ = [
     "MOST_BLOCKS",
     "MOST_DEATHS",
     "MOST_SURFACES",
-    "MOST_VALUES",
     "TABLE_ROWS",
 ]
 
@@ -26,8 +25,6 @@ BLOCK_WITH_MORE = 256, 1024
 FAMILY_FROM = 9
 #: surfaces that a process keeps, those used last; one of more is built or read from the cache folder again
 MOST_SURFACES = 8
-#: values of an axis: each is held in memory, some of them for every scene at once; more are refused
-MOST_VALUES = 10**7
 #: blocks of a store, of each of which it keeps a file for every variable; more are refused
 MOST_BLOCKS = 10**6
 #: values of a coordinate in one chunk of a store

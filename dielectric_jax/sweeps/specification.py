@@ -7,20 +7,21 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..model import Scene, place_of
-from ..numerics import shown, whole_range
-from .axes import Axis, axes_of, read_scenes, samples, zipped
-from .documents import (
+from ..model import (
+    Scene,
     check_sizes,
     number,
     one_of,
     other_filling_left_out,
+    place_of,
     read_toml,
     refuse,
     scene_of,
     table,
     values,
 )
+from ..numerics import shown, whole_range
+from .axes import Axis, axes_of, read_scenes, samples, zipped
 
 __all__ = ["read_specification"]
 

@@ -114,15 +114,9 @@ def sweep(
         if path is not None and resume:
             undo_half_extension(path)
         if path is not None and resume and path.exists():
-            if has_other_axes(path, attributes):
-                chunk = design.chunk(block or block_size(job, design.count))
-                _check_size(design, chunk, variables, False)
-                extend_store(path, design, chunk, variables, attributes, accept_versions)
-            store = stack.enter_context(ZarrStore.resume(path, design, variables, attributes, accept_versions))
-            damaged = store.damaged()
-            store.forget(damaged)
-            for number in damaged:
-                _say(f"Block {number} of {str(path)!r} is damaged and computed again.")
+            chunk = design.chunk(block or block_size(job, design.count))
+            what = design, variables, attributes
+            store = stack.enter_context(_resumed(path, what, chunk, accept_versions))
         elif path is not None and path.exists():
             raise StoreError(f"{str(path)!r} is there already; resume it, or name another store.")
         else:
@@ -136,6 +130,25 @@ def sweep(
         if isinstance(store, Memory):
             return store.dataset(attributes)
     return open_sweep(typing.cast(pathlib.Path, path))
+
+
+@contextlib.contextmanager
+def _resumed(
+    path: pathlib.Path, what: tuple, chunk: tuple[int, ...], accept_versions: bool
+) -> typing.Iterator[ZarrStore]:
+    """The store of a sweep, of `what` (design, variables, attributes), whose damaged blocks are not done; extended where the axes
+    are longer.
+    """
+    design, variables, attributes = what
+    if has_other_axes(path, attributes):
+        _check_size(design, chunk, variables, False)
+        extend_store(path, design, chunk, variables, attributes, accept_versions)
+    with ZarrStore.resume(path, design, variables, attributes, accept_versions) as store:
+        damaged = store.damaged()
+        store.forget(damaged)
+        for number in damaged:
+            _say(f"Block {number} of {str(path)!r} is damaged and computed again.")
+        yield store
 
 
 def _job(design: Design, engine: str | Engine, resolve: bool, curves: bool, tolerance: float) -> Job:

@@ -12,9 +12,9 @@ import dielectric_jax as dj
 from benchmarks.acceptance import parameters as acceptance
 from dielectric_jax.apps.options import read_arguments
 from dielectric_jax.design import regime_edges
-from dielectric_jax.model import PARAMETERS, Change, describe, parameter_of
+from dielectric_jax.model import PARAMETERS, Change, describe, parameter_of, scene_of
 from dielectric_jax.model.scene import constants_of
-from dielectric_jax.sweeps import scene_of, zipped
+from dielectric_jax.sweeps import zipped
 
 AIR = {"atmospheric_pressure": 40.0, "polytropic_exponent": 1.2}
 FILLED = dj.Chamber(volume=1600.0, initial_volume=2.3, **AIR)

@@ -35,11 +35,11 @@ def test_a_described_scene_comes_back():
         dj.Membrane(dj.ArrudaBoyce(60.0), 1.5, dj.ConstantBreakdown(3.0)),
         dj.Chamber(volume=900.0, initial_pressure=1.2, atmospheric_pressure=20.0, polytropic_exponent=1.4),
     )
-    assert dj.model.describe(dj.sweeps.scene_of(dj.model.describe(scene))) == dj.model.describe(scene)
+    assert dj.model.describe(dj.model.scene_of(dj.model.describe(scene))) == dj.model.describe(scene)
     ogden = dj.Scene(dj.Membrane(dj.Ogden(moduli=(1.0, 0.1), exponents=(2.0, 4.0))), dj.ConstantPressure(1.0))
-    assert dj.model.describe(dj.sweeps.scene_of(dj.model.describe(ogden))) == dj.model.describe(ogden)
+    assert dj.model.describe(dj.model.scene_of(dj.model.describe(ogden))) == dj.model.describe(ogden)
     held = dj.Scene(dj.Membrane(dj.NeoHookean()), dj.ConstantPressure(1.5))
-    assert dj.model.describe(dj.sweeps.scene_of(dj.model.describe(held))) == dj.model.describe(held)
+    assert dj.model.describe(dj.model.scene_of(dj.model.describe(held))) == dj.model.describe(held)
 
 
 def test_every_kind_of_axis(tmp_path):
@@ -65,7 +65,7 @@ def test_every_kind_of_axis(tmp_path):
     _, axes, options = dj.sweeps.read_specification(spec)
     assert [(a.dimension, a.size) for a in axes] == [("prestretch", 2), ("case", 2), ("draw", 3), ("scene", 2)]
     assert options == {"tolerance": 1e-6}
-    data = dj.sweep(dj.sweeps.scene_of({"pressure": 1.0}), prestretch=[1.0], pressure=[0.0], progress=False)
+    data = dj.sweep(dj.model.scene_of({"pressure": 1.0}), prestretch=[1.0], pressure=[0.0], progress=False)
     # a flat film that is not stretched carries no tension: it is on no surface
     assert data.outcome.item() == dj.sweeps.Answer.unresolved
 

@@ -1,4 +1,4 @@
-"""Scenes in TOML: tables of parameters by their published names; mistakes are refused in one sentence."""
+"""Scenes as documents, in TOML or JSON: tables of parameters by their published names; mistakes are refused in one sentence."""
 
 import dataclasses
 import os
@@ -8,33 +8,16 @@ import typing
 
 import numpy as np
 
-from ..model import (
-    ATMOSPHERE,
-    PARAMETERS,
-    VACUUM_PERMITTIVITY,
-    ArrudaBoyce,
-    Chamber,
-    ConstantBreakdown,
-    ConstantPressure,
-    Gent,
-    Maxwell,
-    Membrane,
-    MooneyRivlin,
-    NeoHookean,
-    Ogden,
-    Scene,
-    Units,
-    VHBBreakdown,
-    Viscoelastic,
-    Window,
-    from_text,
-    parameter_of,
-    place_of,
-    refuse_dimensionless,
-    refuse_si,
-)
 from ..numerics import LARGEST, check_whole, shown
+from .loading import Chamber, ConstantPressure
+from .materials import ArrudaBoyce, ConstantBreakdown, Gent, MooneyRivlin, NeoHookean, Ogden, VHBBreakdown
+from .membrane import Membrane
+from .parameters import PARAMETERS, parameter_of, place_of
+from .quantities import VACUUM_PERMITTIVITY
 from .resolution import MOST_VALUES
+from .scene import Scene, Window
+from .units import ATMOSPHERE, Units, from_text, refuse_dimensionless, refuse_si
+from .viscoelastic import Maxwell, Viscoelastic
 
 __all__ = [
     "check_sizes",
