@@ -131,6 +131,7 @@ def _run_equilibrium(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[
 def _run_pressure_volume(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
     curves = _curves(dj, args, _membrane(dj, args), args.voltage or [0.0])
     documents = [c.to_json() for c in curves]
+    args.diagram = curves[0]
 
     def draw() -> Any:
         from ..plot import plot_diagram, plot_pressure_volume
@@ -150,7 +151,7 @@ def _run_voltage_volume(dj: Any, args: argparse.Namespace) -> tuple[dict, Callab
         surface = dj.Surface.build(scene.membrane)
     say("voltage–volume diagram …")
     found = dj.report(scene, points=args.points, tolerance=args.tolerance, surface=surface, modes=args.modes)
-    args.sentences = found.lines
+    args.sentences, args.diagram = found.lines, found.diagram
 
     def draw() -> Any:
         say("pressure–volume curves …")
@@ -339,6 +340,9 @@ def _write(document: dict, draw: Callable[[], Any], args: argparse.Namespace) ->
         else:
             Path(args.json).write_text(text, encoding="utf-8")
             say(f"wrote {args.json}")
+    if getattr(args, "csv", None) is not None:
+        args.diagram.to_csv(args.csv, args.units)
+        say(f"wrote {args.csv}")
     figure = getattr(args, "figure", None)
     if figure is not None:
         import matplotlib

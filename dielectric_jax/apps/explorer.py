@@ -31,7 +31,7 @@ from ..model import (
     Window,
     parameter_of,
 )
-from ..numerics import SceneError
+from ..numerics import SceneError, need
 from ..plot import (
     event_entries,
     line_entries,
@@ -41,7 +41,6 @@ from ..plot import (
     viewed,
     voltage_text,
 )
-from ..sweeps import need
 
 if TYPE_CHECKING:
     from ..surface import Surface, SurfaceFamily

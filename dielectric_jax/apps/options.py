@@ -253,6 +253,7 @@ def _add_pressure_volume(commands, common: Parser) -> None:
         metavar="PHI",
         help="one or more voltages (0)",
     )
+    _add_csv(curve)
 
 
 def _add_voltage_volume(commands, common: Parser) -> None:
@@ -273,6 +274,11 @@ def _add_voltage_volume(commands, common: Parser) -> None:
         "--modes", type=_numbers, metavar="A:B", help="numbers n from 1 of modes that end the ramp, such as 1:24"
     )
     scene.add_argument("--shapes", action="store_true", help="also draw the shapes of the membrane; with --figure")
+    _add_csv(scene)
+
+
+def _add_csv(parser: Parser) -> None:
+    parser.add_argument("--csv", metavar="FILE", help="write the points of all branches as a table")
 
 
 def _add_explain(commands) -> None:
@@ -445,6 +451,8 @@ def _check(args: argparse.Namespace) -> None:
                 raise BadInput("--engine must be continuation with --modes, but is surface.")
             if args.modes[0] < 1:
                 raise BadInput(f"--modes must be whole numbers from 1, but begins at {args.modes[0]}.")
+    if args.command == "pressure-volume" and args.csv is not None and len(args.voltage or ()) > 1:
+        raise BadInput(f"--csv must be given with one --voltage, but {len(args.voltage)} are given.")
     if args.command == "modes" and args.density is not None and not args.si:
         raise BadInput("--density must be given with --si only.")
     if args.command == "modes" and args.points is not None:
@@ -479,6 +487,8 @@ def _check_files(args: argparse.Namespace) -> None:
             raise BadInput(f"{said} must be the name of a file, but is {shown(file)}.")
     if args.json is not None and args.json != "-":
         _check_file("--json", args.json)
+    if getattr(args, "csv", None) is not None:
+        _check_file("--csv", args.csv)
     if getattr(args, "figure", None) is not None:
         _check_file("--figure", args.figure)
         if Path(args.figure).suffix[1:].lower() not in _FIGURE_SUFFIXES:

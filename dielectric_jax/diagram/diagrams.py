@@ -3,13 +3,16 @@
 `pressure_volume` holds the voltage, `voltage_volume` a chamber's filling or the pressure. All computing is dimensionless.
 """
 
+import csv
 import dataclasses
+import os
 import typing
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
 from ..model import (
+    QUANTITIES,
     SCANNED_LOAD,
     Branch,
     Chamber,
@@ -40,10 +43,11 @@ from ..model import (
     shooting_of,
 )
 from ..modes import checked_numbers
-from ..numerics import Code, SceneError, check_positive
+from ..numerics import Code, SceneError, check_positive, need
 from ..plot import plot_diagram
 from ..surface import Surface
 from .branches import Solved, find_curves, special_record
+from .json_documents import fields_from_json, read_json
 from .mesh import Curve
 from .mode_points import neutral_points
 from .ramp import build_ramp, build_way_back, flat_ramp
@@ -87,6 +91,7 @@ class Diagram:
     _up: Ramp | None = None
     _down: Ramp | None = None
     _solver: object = None
+    _was_read: bool = False
 
     def ramp(self, direction: str = "up", start: State | None = None) -> Ramp:
         """What a slow ramp of the control, voltage or charge, does: "up" from zero, or "down" from `start`.
@@ -103,7 +108,7 @@ class Diagram:
                 raise ValueError("`start` must be left out on the way up, which starts at zero voltage.")
             return self._up
         if start is not None:
-            return build_way_back(self._solver, start)
+            return self._solved_anew().ramp("down", start) if self._was_read else build_way_back(self._solver, start)
         if self._down is None:
             raise ValueError(
                 "`direction` must be 'up' here: the way up ends without an unbroken state to come back from."
@@ -142,12 +147,18 @@ class Diagram:
             raise ValueError(
                 f"`states_at` must be asked of a diagram over the voltage, but its control is the {self.control}."
             )
+        if self._was_read:
+            return self._solved_anew().states_at(voltage)
         q = float(voltage) ** 2
         if not isinstance(self._solver, Solved):
             loads = self.branches[0].voltage_squared
             return [flat_state(self.scene.membrane, q)] if q <= loads.max() else []
         solved = dataclasses.replace(self._solver, missed=[])
         return sorted((solved.state(p) for p in solved.states_at(q)), key=lambda s: s.volume)
+
+    def _solved_anew(self) -> "Diagram":
+        """The diagram of the scene, computed; what was read holds no more than its document."""
+        return voltage_volume(self.scene, tolerance=self.tolerance)
 
     def plot(self, **options):
         """The diagram as a matplotlib figure, see `plot.plot_diagram`."""
@@ -179,6 +190,58 @@ class Diagram:
             }
         )
         return document if units is None else units.to_document(document)
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, typing.Any] | str | os.PathLike, scene: Scene | None = None) -> "Diagram":
+        """The diagram of a document of `to_json` or of `dielectric-jax … --json`, or of a file that holds one; in SI or dimensionless.
+
+        A `scene` is needed where the material or the breakdown law is a function of the user's own. Special points and events come
+        back with the digits of the document; other ramps and `states_at` compute the diagram anew. Raises ValueError for what is
+        not the document of one diagram.
+
+        >>> from dielectric_jax import Chamber
+        >>> diagram = voltage_volume(Scene(Membrane(), Chamber(volume=1600.0, initial_volume=2.42)))
+        >>> Diagram.from_json(diagram.to_json()).to_json() == diagram.to_json()
+        True
+        """
+        return cls(**fields_from_json(read_json(document), scene), _was_read=True)
+
+    def to_dataframe(self, units: Units | None = None):
+        """The points of all branches as a `pandas.DataFrame`: `branch`, `voltage` and the columns of `Branch`.
+
+        In SI with `units`, by default those of the scene; `attrs["units"]` names them. NaN where a quantity has no meaning; an
+        index that is not valid is missing.
+        """
+        pandas = need("pandas")
+        table = pandas.DataFrame(self.columns(units))
+        table["index"] = table["index"].astype("Int64").mask(table["index"] < 0)
+        table.attrs["units"] = self._units_of_columns(units)
+        return table
+
+    def to_csv(self, path: str | os.PathLike, units: Units | None = None) -> None:
+        """Writes the table of `to_dataframe`, a line for each point, with units in the names of the columns."""
+        columns, names = self.columns(units), self._units_of_columns(units)
+        heads = [f"{name} [{names[name]}]" if name in names else name for name in columns]
+        with open(path, "w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(heads)
+            for row in zip(*columns.values(), strict=True):
+                writer.writerow(
+                    ["" if v != v or (n == "index" and v < 0) else v for n, v in zip(columns, row, strict=True)]
+                )
+
+    def columns(self, units: Units | None = None) -> dict[str, np.ndarray]:
+        """The points of all branches: the number of the `branch`, `voltage` and the columns of `Branch`, in SI with `units`."""
+        units = units or self.scene.units
+        branches = self.branches if units is None else [units.to_si(b) for b in self.branches]
+        out = {"branch": np.concatenate([np.full(len(b), k) for k, b in enumerate(branches)])}
+        for name in ("voltage", *QUANTITIES):
+            out[name] = np.concatenate([getattr(b, name) for b in branches])
+        return out
+
+    def _units_of_columns(self, units: Units | None) -> dict[str, str]:
+        names = Units.names() if units or self.scene.units else {}
+        return {n: names[n] for n in ("voltage", *QUANTITIES) if n in names}
 
     def _repr_html_(self) -> str:
         units = self.scene.units

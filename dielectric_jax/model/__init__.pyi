@@ -1,5 +1,16 @@
 from .chart import Scan, cached_scan, explicit_map, map_nodes, stretch_shares
-from .documents import check_sizes, number, one_of, other_filling_left_out, read_toml, refuse, scene_of, table, values
+from .documents import (
+    check_sizes,
+    described_scene,
+    number,
+    one_of,
+    other_filling_left_out,
+    read_toml,
+    refuse,
+    scene_of,
+    table,
+    values,
+)
 from .energies import require_float64
 from .films import FILM_MODES, Film, FilmState, Passed, Sampled, film_of, film_states, pass_film
 from .glossary import GLOSSARY, explain
@@ -47,6 +58,7 @@ from .profiles import energy, profile, scaling_defect
 from .programs import jacobian_program, value_program
 from .quantities import VACUUM_PERMITTIVITY, example_units, is_unit_absolute, quantity, unit_size
 from .records import (
+    QUANTITIES,
     Branch,
     Event,
     Ramp,
@@ -91,6 +103,7 @@ __all__ = [
     "MOST_STEPS",
     "MOST_VALUES",
     "PARAMETERS",
+    "QUANTITIES",
     "REGIME_COLOURS",
     "SCALE",
     "SCANNED_LOAD",
@@ -164,6 +177,7 @@ __all__ = [
     "corrected_points",
     "describe",
     "describe_in_units",
+    "described_scene",
     "difficulty",
     "doubt_of_vhb",
     "eighth_order_step",

@@ -9,18 +9,19 @@ import typing
 import numpy as np
 
 from ..numerics import LARGEST, check_whole, shown
-from .loading import Chamber, ConstantPressure
+from .loading import Chamber, ChargeControl, ConstantPressure, ConstantVoltage, PrescribedVolume
 from .materials import ArrudaBoyce, ConstantBreakdown, Gent, MooneyRivlin, NeoHookean, Ogden, VHBBreakdown
 from .membrane import Membrane
 from .parameters import PARAMETERS, parameter_of, place_of
 from .quantities import VACUUM_PERMITTIVITY
 from .resolution import MOST_VALUES
-from .scene import Scene, Window
+from .scene import Scene, Window, law_in
 from .units import ATMOSPHERE, Units, from_text, refuse_dimensionless, refuse_si
 from .viscoelastic import Maxwell, Viscoelastic
 
 __all__ = [
     "check_sizes",
+    "described_scene",
     "number",
     "one_of",
     "other_filling_left_out",
@@ -225,6 +226,32 @@ def scene_of(given: dict[str, typing.Any], constants: dict[str, typing.Any] | No
         ConstantPressure(loading["pressure"]) if "pressure" in loading else Chamber(**typing.cast(typing.Any, loading))
     )
     return Scene(membrane, made, window) if units is None else Scene.from_si(membrane, made, units, window=window)
+
+
+def described_scene(described: dict[str, typing.Any]) -> Scene:
+    """The scene that `describe` describes, also one whose voltage or volume is held, under charge control, or with units.
+
+    Raises ValueError for a material or breakdown law of the user's own, which has no description.
+
+    >>> from dielectric_jax.model import describe
+    >>> scene = Scene(Membrane(), ChargeControl(ConstantPressure(1.82)), units=Units())
+    >>> describe(described_scene(describe(scene))) == describe(scene)
+    True
+    """
+    own = dict(described)
+    charge = own.pop("control", None) == "charge"
+    held = {name: own.pop(name) for name in ("voltage", "volume") if name in own}
+    constants = {n: own.pop(n) for n, row in PARAMETERS.items() if row.path[0] == "units" and n in own}
+    scene = scene_of(own | ({"pressure": 1.0} if held else {}))
+    loading = scene.loading
+    for name, value in held.items():
+        loading = (ConstantVoltage if name == "voltage" else PrescribedVolume)(number("scene", name, value))
+    loading = ChargeControl(loading) if charge else loading
+    if not constants:
+        return dataclasses.replace(scene, loading=loading)
+    units, membrane = Units(**constants), scene.membrane
+    membrane = dataclasses.replace(membrane, breakdown=law_in(membrane.breakdown, units))
+    return Scene(membrane, loading, scene.window, units)
 
 
 def other_filling_left_out(given: dict[str, typing.Any], varied: typing.Iterable[str]) -> dict[str, typing.Any]:

@@ -6,8 +6,8 @@ Plain NumPy on the host, the same shape whichever engine computed it, and the JS
 import dataclasses
 import html
 import math
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, Self
 
 import numpy as np
 
@@ -80,6 +80,11 @@ def plain(value: Any) -> Any:
     return value
 
 
+def _number_of(value: Any) -> float:
+    """A number of a document, NaN for null."""
+    return math.nan if value is None else float(value)
+
+
 def voltage_of(voltage_squared):
     """Φ = √q; NaN where q < 0, which no voltage reaches."""
     q = np.asarray(voltage_squared, dtype=float)
@@ -114,6 +119,20 @@ class State:
         out["flags"] = list(self.flags)
         return plain(out)
 
+    @classmethod
+    def from_json(cls, document: Mapping[str, Any]) -> Self:
+        """The state of a document of `to_json`; NaN where a quantity has no meaning, or is not in the document."""
+        values: dict[str, Any] = {name: _number_of(document.get(name)) for name in QUANTITIES if name != "index"}
+        if "voltage_squared" not in document:
+            values["voltage_squared"] = _number_of(document["voltage"]) ** 2
+        values |= {"index": document.get("index"), "flags": tuple(document.get("flags", ()))}
+        return cls(**values, **cls._more_from_json(document))
+
+    @classmethod
+    def _more_from_json(cls, document: Mapping[str, Any]) -> dict[str, Any]:
+        """What a subclass has besides."""
+        return {}
+
     def _repr_html_(self) -> str:
         heads = ("kind", *_SHOWN) if isinstance(self, SpecialPoint) else _SHOWN
         return html_table([h.replace("_", " ") for h in heads], [[getattr(self, n) for n in heads]])
@@ -143,6 +162,11 @@ class SpecialPoint(State):
         """Kind and branch, of a mode also its number, then the state."""
         number = {} if self.number is None else {"number": self.number}
         return {"kind": self.kind, "branch": self.branch} | number | super().to_json()
+
+    @classmethod
+    def _more_from_json(cls, document: Mapping[str, Any]) -> dict[str, Any]:
+        kind = PointKind(document["kind"])
+        return {"kind": kind, "branch": document["branch"], "number": document.get("number")}
 
     def __repr__(self) -> str:
         number = "" if self.number is None else f"number={self.number}, "
@@ -185,6 +209,14 @@ class Branch:
         out["index"] = [None if i < 0 else int(i) for i in self.index]
         return plain(out | {"start": self.start.name, "end": self.end.name, "flags": list(self.flags)})
 
+    @classmethod
+    def from_json(cls, document: Mapping[str, Any]) -> Self:
+        """The branch of a document of `to_json`."""
+        columns = {n: np.array([_number_of(v) for v in document[n]]) for n in QUANTITIES if n != "index"}
+        columns["index"] = np.array([-1 if i is None else i for i in document["index"]])
+        start, end = Code[document["start"]], Code[document["end"]]
+        return cls(**columns, start=start, end=end, flags=tuple(document["flags"]))
+
     def __repr__(self) -> str:
         v, q = self.volume, self.voltage_squared
         return (
@@ -211,6 +243,12 @@ class Event:
             | {"volume": s.volume, "apex_stretch": s.apex_stretch, "breakdown_ratio": s.breakdown_ratio}
             | {"error_estimate": s.error_estimate, "reason": self.reason}
         )
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, Any]) -> Self:
+        """The event of a document of `to_json`; of its state the height, and the charge unless it is the control, are not known."""
+        state = State.from_json(document)
+        return cls(RampEvent(document["event"]), document["direction"], state, document["reason"])
 
 
 @dataclasses.dataclass(frozen=True)

@@ -343,7 +343,7 @@ class Scene(Readable):
             raise ValueError(
                 f"`breakdown` must be a VHBBreakdown or ConstantBreakdown where units change, but is a {type(law).__name__}."
             )
-        film = _rebuild(self.membrane if membrane is None else membrane, (), {"breakdown": _law_in(law, units)})
+        film = _rebuild(self.membrane if membrane is None else membrane, (), {"breakdown": law_in(law, units)})
         loading = units.reduce(before.to_si(self.loading))
         return Scene(film, loading, self.window, units)
 
@@ -386,7 +386,7 @@ def doubt_of_vhb(law, units: Units) -> str | None:
 def _law_from_si(law, units: Units):
     """A breakdown law that measures its field in these units, of a law with its field in V/m where that is constant."""
     if not isinstance(law, ConstantBreakdown):
-        return _law_in(law, units)
+        return law_in(law, units)
     if is_concrete(law.constant_field) and law.constant_field < LARGEST_FIELD:
         raise ValueError(
             f"`constant_field` must be in V/m for a scene in SI, at least {LARGEST_FIELD:g}, but is {float(law.constant_field):g}."
@@ -394,7 +394,7 @@ def _law_from_si(law, units: Units):
     return units.reduce(law)
 
 
-def _law_in(law, units: Units):
+def law_in(law, units: Units):
     """A breakdown law that measures its field in these units."""
     if not isinstance(law, VHBBreakdown):
         return law

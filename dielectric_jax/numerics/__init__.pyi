@@ -15,6 +15,7 @@ from .compiled import cached_jit, elementwise, of_this_package, source_digest
 from .continuation import Problem, Steps, Trace, Walk, advance, begin, shorter, stepped, trace
 from .eigen import Eigenpairs, Tridiagonal, lapack_alone, lowest_eigenpairs, number_below, tridiagonal
 from .elementary import log1p, reciprocal, sine_cosine, softplus
+from .extras import need
 from .lanes import calls_of, cores, lanes_of_a_call, run_lanes, threads
 from .locks import Locked, alone
 from .newton import Root, SmallSystem, root_find, solve_small
@@ -57,6 +58,7 @@ __all__ = [
     "log1p",
     "lowest_eigenpairs",
     "make_folder",
+    "need",
     "number_below",
     "of_this_package",
     "reciprocal",

@@ -2,7 +2,6 @@ from .analysis import best_designs, compare_sweeps, count_sweep, export_sweep, p
 from .axes import Axis, read_scenes, samples, zipped
 from .engines import Engine
 from .specification import read_specification
-from .store import need
 from .sweeps import open_sweep, sweep
 from .variables import Answer
 
@@ -14,7 +13,6 @@ __all__ = [
     "compare_sweeps",
     "count_sweep",
     "export_sweep",
-    "need",
     "open_sweep",
     "plot_sweep",
     "read_scenes",

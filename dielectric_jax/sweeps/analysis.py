@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..model import REGIME_COLOURS
+from ..numerics import need
 from ..plot import COLOURS
 from .resolution import TABLE_ROWS
-from .store import need
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,9 +14,8 @@ import threading
 import typing
 from collections.abc import Callable, Iterator, Sequence
 
-from ..numerics import WorkersLost, cores, shown
+from ..numerics import WorkersLost, cores, need, shown
 from .resolution import MOST_DEATHS
-from .store import need
 
 __all__ = ["Progress", "executor_of", "run_blocks"]
 

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..numerics import StoreError
+from ..numerics import StoreError, need
 from .axes import Axis, Design
-from .store import ZarrStore, compare, held, make_store, need, open_group
+from .store import ZarrStore, compare, held, make_store, open_group
 from .variables import Variable
 
 __all__ = ["extend_store", "has_other_axes", "undo_half_extension"]

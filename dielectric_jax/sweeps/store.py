@@ -5,7 +5,6 @@ A block is a chunk of every variable. Its chunks are written first, each by an a
 """
 
 import contextlib
-import importlib
 import json
 import os
 import pathlib
@@ -17,25 +16,14 @@ import zlib
 import numpy as np
 
 from ..model import parameter_of
-from ..numerics import Locked, StoreError, alone
+from ..numerics import Locked, StoreError, alone, need
 from .axes import Design
 from .resolution import LONGEST_CHUNK
 from .variables import Variable, described, described_in_si
 
-__all__ = ["Memory", "ZarrStore", "compare", "held", "make_store", "need", "open_group"]
+__all__ = ["Memory", "ZarrStore", "compare", "held", "make_store", "open_group"]
 
 _FORMAT = "dielectric_jax sweep 2"
-
-
-def need(module: str, extra: str = "io") -> typing.Any:
-    """The imported module; raises ImportError with one sentence that names the extra that provides it."""
-    try:
-        return importlib.import_module(module)
-    except ImportError:
-        package = module.partition(".")[0]
-        raise ImportError(
-            f'`{package}` must be installed for this, but is not: pip install "dielectric-jax[{extra}]".'
-        ) from None
 
 
 def checksum(arrays: dict[str, np.ndarray]) -> int:

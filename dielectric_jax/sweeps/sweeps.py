@@ -21,7 +21,7 @@ import numpy as np
 from ..diagram import check_request
 from ..model import Chamber, ConstantPressure, Scene, describe, other_loading, require_float64
 from ..modes import checked_numbers
-from ..numerics import StoreError, check_whole, enabled_folder, source_digest
+from ..numerics import StoreError, check_whole, enabled_folder, need, source_digest
 from ..surface import check_tolerance, fingerprint
 from .axes import Axis, Design, axes_of
 from .blocks import Job, block_size, compute_block
@@ -29,7 +29,7 @@ from .engines import Engine, check_engine, job_variables, parameters_of
 from .executors import Progress, executor_of, run_blocks
 from .extension import extend_store, has_other_axes, undo_half_extension
 from .resolution import FAMILY_FROM, MOST_BLOCKS
-from .store import Memory, ZarrStore, need, open_group
+from .store import Memory, ZarrStore, open_group
 from .variables import Answer, described_in_si
 
 __all__ = ["open_sweep", "sweep"]

@@ -80,6 +80,8 @@ BAD = [
     (["pressure-volume", "--figure", "figure.doc"], "--figure", "png"),
     (["pressure-volume", "--figure", "/no/folder/figure.png"], "--figure", "folder"),
     (["pressure-volume", "--json", "/no/folder/d.json"], "--json", "folder"),
+    (["pressure-volume", "--csv", "/no/folder/d.csv"], "--csv", "folder"),
+    (["pressure-volume", "--csv", "d.csv", "--voltage", "0", "0.1"], "--csv", "one --voltage, but 2 are"),
     (["pressure-volume", "--all"], "'--all'", "--help"),
     (["pressure-volume", "--volt", "0.1"], "'--volt 0.1'", "--help"),
     (["voltage-volume"], "--pressure, --chamber-volume", "none is"),
@@ -274,9 +276,12 @@ def test_pressure_volume_at_several_voltages(capsys):
             assert branch["voltage_squared"] == pytest.approx([q] * len(branch["volume"]), abs=1e-14)
 
 
-def test_one_voltage_is_one_diagram(capsys):
-    document = answer(capsys, "pressure-volume", "--points", "32")
+def test_one_voltage_is_one_diagram_and_a_table(capsys, tmp_path):
+    document = answer(capsys, "pressure-volume", "--points", "32", "--csv", str(tmp_path / "d.csv"), "--si")
     assert "diagrams" not in document and document["complete"] is True
+    head, *lines = (tmp_path / "d.csv").read_text(encoding="utf-8").splitlines()
+    assert "pressure [Pa],volume [m³]" in head
+    assert [float(line.split(",")[3]) for line in lines] == [p for b in document["branches"] for p in b["pressure"]]
 
 
 BRANCH_KEYS = (

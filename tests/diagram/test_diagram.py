@@ -512,6 +512,61 @@ def test_json(diagram, name):
     assert document["scene"]["material"] == "gent" and document["scene"]["stretch_limit"] == 270.0
 
 
+@pytest.mark.parametrize("name", ["VC=1600", "p=1.2", "lam0=1 Phi=0.1"])
+def test_a_diagram_comes_back_from_its_document(diagram, name, tmp_path):
+    """From a file, dimensionless to the bit, and in SI to rounding."""
+    made = diagram(name)
+    (tmp_path / "d.json").write_text(json.dumps(made.to_json()))
+    read = dj.diagram.Diagram.from_json(tmp_path / "d.json")
+    assert read.to_json() == made.to_json()
+    branch = made.branches[0]
+    assert read.gas_pressure(3.0) == (made.gas_pressure(3.0) if name == "VC=1600" else None)
+    units = dj.Units(shear_modulus="0.3 MPa", thickness="0.2 mm")
+    in_si = json.loads(json.dumps(made.to_json(units)))
+    read = dj.diagram.Diagram.from_json(in_si)
+    assert read.to_json(read.scene.units)["branches"][0].keys() == in_si["branches"][0].keys()
+    for column in ("pressure", "volume", "charge", "apex_stretch"):
+        np.testing.assert_allclose(getattr(read.branches[0], column), getattr(branch, column), rtol=1e-13)
+    assert [p.kind for p in read.special_points] == [p.kind for p in made.special_points]
+    if made.control == "voltage" and name != "lam0=1 Phi=0.1":
+        up, known = read.ramp(), made.ramp()
+        assert [e.event for e in up.events] == [e.event for e in known.events]
+        assert up.area_strain == known.area_strain
+        assert up.events[-1].state.voltage == pytest.approx(known.events[-1].state.voltage, rel=1e-13)
+        assert read.states_at(0.01)[0].volume == pytest.approx(made.states_at(0.01)[0].volume, rel=1e-8)
+
+
+def test_a_document_of_something_else_is_refused(diagram, tmp_path):
+    read = dj.diagram.Diagram.from_json
+    document = diagram("p=1.2").to_json()
+    (tmp_path / "d.json").write_text("[1, 2")
+    with pytest.raises(ValueError, match="`document` must be a file of JSON"):
+        read(tmp_path / "d.json")
+    with pytest.raises(ValueError, match='has no "branches"'):
+        read({n: v for n, v in document.items() if n != "branches"})
+    with pytest.raises(ValueError, match="one diagram"):
+        read({"diagrams": [document]})
+    with pytest.raises(ValueError, match="`scene` must be given with this document: `material`"):
+        read(document | {"scene": document["scene"] | {"material": "custom"}})
+    again = read(document | {"scene": document["scene"] | {"material": "custom"}}, diagram("p=1.2").scene)
+    assert again.to_json() == document
+
+
+def test_the_points_of_all_branches_as_a_table(diagram, tmp_path):
+    made, units = diagram("p=1.2"), dj.Units()
+    table = made.to_dataframe(units)
+    assert len(table) == sum(map(len, made.branches)) and list(table.branch.unique()) == [0, 1]
+    second = table[table.branch == 1]
+    np.testing.assert_allclose(second.volume, made.branches[1].volume * 22.5e-3**3, rtol=1e-14)
+    assert table.attrs["units"]["volume"] == "m³"
+    made.to_csv(tmp_path / "d.csv")
+    head, *lines = (tmp_path / "d.csv").read_text().splitlines()
+    assert head.startswith("branch,voltage,voltage_squared,pressure") and len(lines) == len(table)
+    number, voltage, *values = lines[0].split(",")
+    assert number == "0" and (voltage == "") == (made.branches[0].voltage_squared[0] < 0)
+    assert float(values[1]) == made.branches[0].pressure[0]
+
+
 def test_index_along_the_branches(diagram):
     """It changes at folds only: by one, and 0 before the first (the gas removes the unstable mode of the p–V peak)."""
     for name in ("VC=800", "VC=1600", "p=1.82"):
