@@ -451,6 +451,11 @@ def _check(args: argparse.Namespace) -> None:
                 raise BadInput("--engine must be continuation with --modes, but is surface.")
             if args.modes[0] < 1:
                 raise BadInput(f"--modes must be whole numbers from 1, but begins at {args.modes[0]}.")
+    _check_answer(args)
+
+
+def _check_answer(args: argparse.Namespace) -> None:
+    """Refuses kinds of answers that a command does not give."""
     if args.command == "pressure-volume" and args.csv is not None and len(args.voltage or ()) > 1:
         raise BadInput(f"--csv must be given with one --voltage, but {len(args.voltage)} are given.")
     if args.command == "modes" and args.density is not None and not args.si:
