@@ -12,7 +12,7 @@ from .codes import (
     whole_range,
 )
 from .compiled import cached_jit, elementwise, of_this_package, source_digest
-from .continuation import Problem, Steps, Trace, Walk, advance, begin, shorter, stepped, trace
+from .continuation import Fold, Problem, Steps, Trace, Walk, advance, begin, locate_folds, shorter, stepped, trace
 from .eigen import Eigenpairs, Tridiagonal, lapack_alone, lowest_eigenpairs, number_below, tridiagonal
 from .elementary import log1p, reciprocal, sine_cosine, softplus
 from .extras import need
@@ -26,6 +26,7 @@ __all__ = [
     "LARGEST",
     "Code",
     "Eigenpairs",
+    "Fold",
     "Locked",
     "NamedCode",
     "Problem",
@@ -55,6 +56,7 @@ __all__ = [
     "is_own",
     "lanes_of_a_call",
     "lapack_alone",
+    "locate_folds",
     "log1p",
     "lowest_eigenpairs",
     "make_folder",

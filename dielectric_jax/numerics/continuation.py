@@ -14,18 +14,33 @@ accumulate towards a point without the tangent turning much, a monitor bounds th
 """
 
 import dataclasses
+import enum
 import math
 import typing
 from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
 from jaxtyping import Array, Float, Int
 
 from .codes import Code
-from .resolution import FIRST_TRIES, LEAST_GROWTH, MOST_CONTRACTION, MOST_GROWTH, NEWTON_TRIES
+from .resolution import FIRST_TRIES, FOLD_STEPS, LEAST_GROWTH, MOST_CONTRACTION, MOST_GROWTH, NEWTON_TRIES, OWN_CODES
 
-__all__ = ["Problem", "Steps", "Trace", "Walk", "advance", "begin", "shorter", "stepped", "trace"]
+__all__ = [
+    "Fold",
+    "Problem",
+    "Steps",
+    "Trace",
+    "Walk",
+    "advance",
+    "begin",
+    "locate_folds",
+    "shorter",
+    "stepped",
+    "trace",
+]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,6 +92,17 @@ class Steps:
             raise ValueError(f"`most_correction` must be at most 0.5, but is {self.most_correction!r}.")
 
 
+class Fold(typing.NamedTuple):
+    """A point at which one of the unknowns turns, between two points of a trace: `after` counts the first of the two.
+
+    `code` is `Code.ok`, or `Code.not_converged` where Newton's method did not reach it.
+    """
+
+    point: np.ndarray
+    after: int
+    code: Code
+
+
 class Walk(typing.NamedTuple):
     """A continuation under way, in scaled unknowns; `code` is `Code.ok` while it goes on, then says why it ended."""
 
@@ -115,7 +141,8 @@ class Problem:
 
     `residual` may be None where `stepped` is given its value and Jacobian.
     `margins(u, args)` returns one number for each of `codes`, positive inside the box; both sides of every variable
-    belong in it. `linearise(u, args)` gives value and Jacobian where a cheaper way than jacfwd of `residual` is known.
+    belong in it. Codes are members of `Code`, or of an `enum.IntEnum` of your own whose numbers are from 1000, so that they
+    mean nothing else; `reason` gives the member back. `linearise(u, args)` gives value and Jacobian where a cheaper way than jacfwd of `residual` is known.
     `monitors(u, args)` returns quantities that may change by at most `most_change` a step, such as the logarithm of the
     distance to a point at which folds accumulate. `lengths` holds the smallest and largest step in place of those of
     `steps`, and how far from its start the curve may lie (by default the largest step), without compiling anew; a walk
@@ -125,12 +152,23 @@ class Problem:
     residual: Callable | None
     scale: typing.Any
     margins: Callable
-    codes: tuple[Code, ...]
+    codes: tuple[enum.IntEnum, ...]
     args: typing.Any = None
     steps: Steps = Steps()
     linearise: Callable | None = None
     monitors: Callable | None = None
     lengths: typing.Any = None
+
+    def __post_init__(self):
+        for code in self.codes:
+            if not (isinstance(code, Code) or (isinstance(code, enum.IntEnum) and code >= OWN_CODES)):
+                raise ValueError(
+                    f"`codes` must hold members of Code, or of an IntEnum with numbers from {OWN_CODES}, but holds {code!r}."
+                )
+
+    def reason(self, code) -> enum.IntEnum:
+        """The member that the number of a `Trace` or `Walk` stands for."""
+        return next((own for own in self.codes if int(own) == int(code)), None) or Code(int(code))
 
     def linear(self, v):
         """Value and Jacobian at scaled unknowns."""
@@ -380,3 +418,52 @@ def trace(
     initial = begin(problem, start, direction, active), nothing, nothing
     end, points, tangents = jax.lax.while_loop(lambda s: s[0].code == int(Code.ok), body, initial)
     return Trace(points * problem.scale, tangents * problem.scale, end.count, end.code, end.evaluations)
+
+
+def locate_folds(problem: Problem, found: Trace, unknown: int, tolerance: float = 1e-12) -> list[Fold]:
+    """The folds of one lane of `trace`: points at which du_k = 0 along the curve for the unknown k, exact by Newton's method.
+
+    A fold is a root of F(u) = 0 and det(∂F/∂u without column k) = 0, whose starts are the changes of sign of the tangent's
+    entry k; so folds must not be closer to each other than the points are. Outside transformations only.
+
+    Args:
+        problem: what was continued, with a `residual`.
+        found: the points and tangents of one lane.
+        unknown: k, from 0 to n − 1.
+        tolerance: of the last move of Newton's method, relative and absolute in scaled unknowns.
+
+    Raises ValueError for a problem without a residual, and for a number that is no unknown's.
+
+    >>> import jax; jax.config.update("jax_enable_x64", True)
+    >>> circle = Problem(lambda u, args: jnp.array([u @ u - 2.0]), scale=jnp.ones(2),
+    ...                margins=lambda u, args: jnp.array([2.0 - jnp.abs(u[0])]), codes=(Code.window_load,))
+    >>> folds = locate_folds(circle, trace(circle, jnp.array([1.0, 1.0]), jnp.array([-1.0, 1.0])), 1)
+    >>> [(fold.point.round(12) + 0.0).tolist() for fold in folds]
+    [[0.0, 1.414213562373], [0.0, -1.414213562373]]
+    """
+    if problem.residual is None:
+        raise ValueError("`problem` must have a residual for its folds to be located, but has None.")
+    count, size = int(found.count), found.points.shape[-1]
+    if not 0 <= unknown < size:
+        raise ValueError(f"`unknown` must be a number from 0 to {size - 1}, but is {unknown!r}.")
+    heading = np.asarray(found.tangents)[:count, unknown]
+    after = np.flatnonzero(heading[:-1] * heading[1:] < 0)
+    if not len(after):
+        return []
+    points = np.asarray(found.points / problem.scale)
+    share = (heading[after] / (heading[after] - heading[after + 1]))[:, None]
+    starts = points[after] + share * (points[after + 1] - points[after])
+
+    def equations(v, _):
+        value, jacobian = problem.linear(v)
+        return jnp.append(value, jnp.linalg.det(jnp.delete(jacobian, unknown, axis=1, assume_unique_indices=True)))
+
+    finder = optx.Newton(rtol=tolerance, atol=tolerance)
+    solve = jax.vmap(lambda start: optx.root_find(equations, finder, start, max_steps=FOLD_STEPS, throw=False))
+    solved = jax.jit(solve)(starts)
+    reached = np.asarray(solved.result == optx.RESULTS.successful)
+    codes = [Code.ok if ok else Code.not_converged for ok in reached]
+    return [
+        Fold(point, int(k), code)
+        for point, k, code in zip(np.asarray(solved.value * problem.scale), after, codes, strict=True)
+    ]

@@ -23,6 +23,10 @@ MOST_CONTRACTION = 0.5
 NEWTON_TRIES = 6
 # the same at the first point, which has no step to halve: beyond them the walk ends with `step_too_small`
 FIRST_TRIES = 20
+# moves of Newton's method to a fold of a traced curve; it starts between the two neighbours
+FOLD_STEPS = 30
+# codes of a user's own margins begin here, above all of `Code`
+OWN_CODES = 1000
 # largest growth and least shrinkage of an accepted step
 LEAST_GROWTH, MOST_GROWTH = 0.5, 2.0
 # halvings of a bracket of an eigenvalue, and steps of inverse iteration from there; benchmarks/speed/eigenpairs.py

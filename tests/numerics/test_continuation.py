@@ -1,6 +1,7 @@
 """Continuation on curves given by a formula, and on the membrane with every step setting."""
 
 import dataclasses
+import enum
 import functools
 import math
 
@@ -12,7 +13,7 @@ import pytest
 import dielectric_jax as dj
 from dielectric_jax.diagram.tracing import run_trace
 from dielectric_jax.model import SCALE
-from dielectric_jax.numerics import Code, Problem, Steps, advance, begin, shorter, stepped, trace
+from dielectric_jax.numerics import Code, Problem, Steps, advance, begin, locate_folds, shorter, stepped, trace
 
 ONES = np.ones(2)
 USUAL = Steps()
@@ -389,3 +390,35 @@ def test_tangents_of_a_trace_lead_along_it():
     chords /= np.linalg.norm(chords, axis=1)[:, None]
     assert np.allclose(np.linalg.norm(tangents, axis=1), 1.0)
     assert ((chords * tangents[:-1]).sum(axis=1) > 0.9).all()
+
+
+def test_folds_are_located_and_reasons_of_ones_own_come_back():
+    """q = x³ − 3x folds at x = ±1; with z = x² as a third unknown, and the residual's own codes."""
+
+    class Reason(enum.IntEnum):
+        too_far = 1000
+        too_deep = 1001
+
+    def curve(u, args):
+        x, q, z = u
+        return jnp.array([q - args * (x**3 - 3 * x), z - x**2])
+
+    def margins(u, args):
+        return jnp.array([2.5 - u[0], u[0] + 2.5])
+
+    problem = Problem(curve, np.array([2.0, 1.0, 1.0]), margins, (Reason.too_far, Reason.too_deep), args=2.0)
+    found = trace(problem, np.array([-2.2, 2 * (-(2.2**3) + 6.6), 4.84]), np.array([1.0, 0.0, 0.0]))
+    assert problem.reason(found.code) is Reason.too_far
+    folds = locate_folds(problem, found, 1)
+    assert [fold.code for fold in folds] == [Code.ok, Code.ok]
+    np.testing.assert_allclose([fold.point for fold in folds], [[-1, 4, 1], [1, -4, 1]], rtol=1e-13)
+    for fold in folds:
+        before, behind = (float(found.points[fold.after + k, 0]) for k in (0, 1))
+        assert before < fold.point[0] < behind
+    (turn,) = locate_folds(problem, found, 2)
+    np.testing.assert_allclose(turn.point, [0, 0, 0], atol=1e-12)
+    assert locate_folds(problem, found, 0) == []
+    with pytest.raises(ValueError, match="`unknown` must be a number from 0 to 2, but is 3"):
+        locate_folds(problem, found, 3)
+    with pytest.raises(ValueError, match="IntEnum with numbers from 1000"):
+        dataclasses.replace(problem, codes=(7,))
