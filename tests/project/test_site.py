@@ -6,10 +6,12 @@ import json
 import os
 import pathlib
 import re
+import runpy
 import shlex
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 import dielectric_jax as dj
@@ -87,6 +89,18 @@ def test_equations_are_understood_by_the_program_that_typesets_them(site):
     script += f"for (const source of {json.dumps(sources)}) katex.renderToString(source, {{strict: 'error'}})"
     done = node.node(["-e", script], return_completed_process=True, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+def test_the_sketch_of_the_set_up(tmp_path):
+    """The dome is an equilibrium: it encloses the volume that was asked for. The names of the model stand in the sketch."""
+    sketch = runpy.run_path(str(ROOT / "docs" / "sketch.py"))
+    r, height = sketch["dome"]()
+    assert r[-1] == pytest.approx(sketch["PRESTRETCH"]) and height[-1] == 0
+    assert -np.pi * np.trapezoid(r**2, height) == pytest.approx(sketch["VOLUME"], rel=2e-3)
+    figure = sketch["draw"](r, height)
+    figure.savefig(tmp_path / "setup.svg")
+    words = " ".join(text.get_text() for ax in figure.axes for text in ax.texts)
+    assert all(name in words for name in (r"a = \lambda_0 A", "$V_C$", "$V$", "$p$", r"\Phi", r"\lambda_a", "height"))
 
 
 @pytest.mark.parametrize("words", list(commands()))
