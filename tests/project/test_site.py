@@ -91,6 +91,19 @@ def test_equations_are_understood_by_the_program_that_typesets_them(site):
     assert done.returncode == 0, done.stderr
 
 
+def test_tables_of_the_benchmarks_are_folded_into_a_page(site):
+    text = (site / "accuracy" / "index.html").read_text(encoding="utf-8")
+    hard, work = (ROOT / "docs" / name for name in ("hard_cases.md", "work_precision.md"))
+    assert not (site / hard.stem).exists() and not (site / work.stem).exists()
+    pages = [file.read_text(encoding="utf-8") for file in (hard, work)]
+    assert text.count("<details") == 2 + sum(page.count("\n## ") for page in pages)
+    rows = sum(len(re.findall(r"^\| (?!asked|engine)", page, re.MULTILINE)) for page in pages)
+    before, tables = text.split('id="tables-hard-cases"')
+    assert tables.count("<tr>") - tables.count("<thead>") == rows
+    asked = tables.count("<td>yes</td>")
+    assert f"In {asked} questions" in before and "<td>NO</td>" not in tables
+
+
 def test_the_sketch_of_the_set_up(tmp_path):
     """The dome is an equilibrium: it encloses the volume that was asked for. The names of the model stand in the sketch."""
     sketch = runpy.run_path(str(ROOT / "docs" / "sketch.py"))
