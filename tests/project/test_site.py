@@ -35,7 +35,7 @@ def commands():
 def site(tmp_path_factory):
     folder = tmp_path_factory.mktemp("site")
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", folder]
-    environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
+    environment = os.environ | {"NO_MKDOCS_2_WARNING": "1", "DOCS_NOTEBOOKS": "off"}  # test_notebooks.py executes them
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return folder
@@ -56,6 +56,33 @@ def test_pages_that_the_program_makes(site):
     assert all(word in words for word in ("breaks in snap", "hoop tension loss", "relaxation time", "E/E_EB"))
     commands = (site / "command_line" / "index.html").read_text(encoding="utf-8")
     assert all(option in commands for option in ("--chamber-volume", "--resume", "--relaxation-times", "WORD"))
+
+
+def test_every_notebook_has_its_page(site):
+    for path in (ROOT / "notebooks").glob("*.ipynb"):
+        text = (site / "notebooks" / path.stem / "index.html").read_text(encoding="utf-8")
+        assert "shown without its outputs" in text and f'href="../{path.name}"' in text
+        assert (site / "notebooks" / path.name).read_bytes() == path.read_bytes()
+    linked = (site / "getting_started" / "index.html").read_text(encoding="utf-8")
+    assert 'href="../notebooks/first_diagram/"' in linked
+
+
+def test_outputs_of_a_notebook_stand_in_its_page(tmp_path, monkeypatch):
+    nbformat = pytest.importorskip("nbformat")
+    hook = runpy.run_path(str(ROOT / "docs" / "notebook_pages.py"))
+    cell = nbformat.v4.new_code_cell
+    picture = "from IPython.display import Image; import base64; Image(base64.b64decode('iVBORw0KGgo='), format='png')"
+    cells = [nbformat.v4.new_markdown_cell("# A title\n\nWords."), cell("print('six by', 9)\n6 * 9"), cell(picture)]
+    nbformat.write(nbformat.v4.new_notebook(cells=cells), tmp_path / "small.ipynb")
+    first = hook["executed"](tmp_path / "small.ipynb", tmp_path / "cache")
+    monkeypatch.setattr("nbclient.NotebookClient", None)  # the second time it comes from the cache
+    notebook = hook["executed"](tmp_path / "small.ipynb", tmp_path / "cache")
+    assert notebook == first and len(list((tmp_path / "cache").iterdir())) == 1
+    text, pictures = hook["as_markdown"](notebook, "small", hook["ABOUT"])
+    assert text.startswith("# A title\n\n*This page is a notebook, executed")
+    assert "```python\nprint" in text and "    six by 9\n" in text and "    54\n" in text
+    ((name, content),) = pictures.items()
+    assert content == b"\x89PNG\r\n\x1a\n" and f"]({name})" in text and "small" in name
 
 
 def pages(site):
