@@ -4,6 +4,7 @@ A notebook is executed when the site is built, so that its outputs are those of 
 `.cache` until the notebook or the package changes. With `DOCS_NOTEBOOKS=off` nothing is executed, and the pages show the code alone.
 """
 
+import copy
 import functools
 import hashlib
 import logging
@@ -45,11 +46,21 @@ def _package() -> bytes:
     return hashlib.sha256(b"".join(source.read_bytes() for source in sources)).digest()
 
 
+def _speaks(output: nbformat.NotebookNode) -> bool:
+    """Whether an output belongs on a page: no notice of compiling, no widget, no address of an object in memory."""
+    data = output.get("data", {})
+    silent = re.match(r"compiling …|\[?<[\w.]+", output.get("text", "") or data.get("text/plain", ""))
+    return "image/png" in data or not (silent or any("widget-view" in kind for kind in data))
+
+
 def as_markdown(notebook: nbformat.NotebookNode, name: str, about: str) -> tuple[str, dict[str, bytes]]:
     """The notebook as Markdown, and its pictures by their names."""
-    # the HTML of tables needs styles of Jupyter, and widgets need a kernel
-    config = Config(NbConvertBase={"display_data_priority": ["image/png", "text/plain"]})
+    config = Config(NbConvertBase={"display_data_priority": ["image/png", "text/markdown", "text/html", "text/plain"]})
     exporter = nbconvert.MarkdownExporter(config=config)
+    notebook = copy.deepcopy(notebook)
+    for cell in notebook.cells:
+        if cell.cell_type == "code":
+            cell.outputs = [output for output in cell.outputs if _speaks(output)]
     text, resources = exporter.from_notebook_node(notebook, {"unique_key": name, "output_files_dir": "."})
     title, rest = text.strip().split("\n", 1)
     return f"{title}\n\n{about.format(name=name)}\n{rest}\n", resources["outputs"]

@@ -72,7 +72,12 @@ def test_outputs_of_a_notebook_stand_in_its_page(tmp_path, monkeypatch):
     hook = runpy.run_path(str(ROOT / "docs" / "notebook_pages.py"))
     cell = nbformat.v4.new_code_cell
     picture = "from IPython.display import Image; import base64; Image(base64.b64decode('iVBORw0KGgo='), format='png')"
-    cells = [nbformat.v4.new_markdown_cell("# A title\n\nWords."), cell("print('six by', 9)\n6 * 9"), cell(picture)]
+    cells = [
+        nbformat.v4.new_markdown_cell("# A title\n\nWords."),
+        cell("print('six by', 9)\n6 * 9"),
+        cell(picture),
+        cell("print"),
+    ]
     nbformat.write(nbformat.v4.new_notebook(cells=cells), tmp_path / "small.ipynb")
     first = hook["executed"](tmp_path / "small.ipynb", tmp_path / "cache")
     monkeypatch.setattr("nbclient.NotebookClient", None)  # the second time it comes from the cache
@@ -82,6 +87,7 @@ def test_outputs_of_a_notebook_stand_in_its_page(tmp_path, monkeypatch):
     assert text.startswith("# A title\n\n*This page is a notebook, executed")
     assert "```python\nprint" in text and "    six by 9\n" in text and "    54\n" in text
     ((name, content),) = pictures.items()
+    assert "    <function" not in text
     assert content == b"\x89PNG\r\n\x1a\n" and f"]({name})" in text and "small" in name
 
 
