@@ -400,6 +400,8 @@ class _PrintCompletion(argparse.Action):
             for action in one._actions:
                 if isinstance(action, argparse._SubParsersAction):
                     parsers += action.choices.values()
+                    for command in action._choices_actions:  # a shell shows one line for each
+                        action.choices[command.dest].description = command.help
                 elif isinstance(action.metavar, str) and re.match(r"FILE|DIR|[A-Z]+\.", action.metavar):
                     action.complete = shtab.DIRECTORY if action.metavar == "DIR" else shtab.FILE  # pyright: ignore
         print(shtab.complete(parser, values))

@@ -51,7 +51,12 @@ def test_bash_completes_what_the_parser_knows(capsys, tmp_path):
 def test_other_shells_get_every_command(capsys, shell):
     script = printed(capsys, shell)
     commands = {name for action in make_parser()._actions if action.dest == "command" for name in action.choices or ()}
-    assert "sweep" in commands and all(name in script for name in commands) and "chamber-volume" in script
+    assert (
+        "sweep" in commands
+        and all(name in script for name in commands)
+        and "many scenes, saved in a store" in script
+        and "chamber-volume" in script
+    )
 
 
 def test_without_shtab_one_sentence_says_what_to_install(capsys, monkeypatch):
