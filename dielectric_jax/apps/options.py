@@ -375,6 +375,10 @@ def make_parser() -> Parser:
     """The parser of the whole program, with one parser for each command."""
     parser = Parser(prog=PROGRAM, description=_DESCRIPTION)
     parser.add_argument("--version", action="version", version=f"{PROGRAM} {_version()}")
+    shells = ("bash", "zsh", "fish")
+    parser.add_argument(
+        "--print-completion", action=_PrintCompletion, choices=shells, help="print the completions of a shell"
+    )
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     common = _common()
     _add_equilibrium(commands, common)
@@ -387,6 +391,27 @@ def make_parser() -> Parser:
     _add_specified(commands)
     _add_explain(commands)
     return parser
+
+
+class _PrintCompletion(argparse.Action):
+    """Prints the completions of a shell, a script without Python in it, and ends."""
+
+    def __call__(self, parser: argparse.ArgumentParser, namespace: Any, values: Any, option_string: Any = None) -> None:
+        try:
+            import shtab
+        except ImportError:
+            raise BadInput('--print-completion needs shtab: `pip install "dielectric-jax[completion]"`.') from None
+        parsers = [parser]
+        for one in parsers:
+            for action in one._actions:
+                if isinstance(action, argparse._SubParsersAction):
+                    parsers += action.choices.values()
+                    for command in action._choices_actions:  # a shell shows one line for each
+                        action.choices[command.dest].description = command.help
+                elif isinstance(action.metavar, str) and re.match(r"FILE|DIR|[A-Z]+\.", action.metavar):
+                    action.complete = shtab.DIRECTORY if action.metavar == "DIR" else shtab.FILE  # pyright: ignore
+        print(shtab.complete(parser, values))
+        parser.exit()
 
 
 def _version() -> str:

@@ -26,6 +26,23 @@ def test_the_blocks_of_a_page_run(page, monkeypatch, tmp_path):
     matplotlib.pyplot.close("all")
 
 
+def test_the_other_lines_of_the_gallery_run_on_other_pages():
+    """What takes long runs once: the blocks of the gallery marked `py` repeat lines of another page."""
+    gallery = (DOCS / "gallery.md").read_text(encoding="utf-8")
+    repeated = re.findall(r"^```py\n(.*?)^```", gallery, re.MULTILINE | re.DOTALL)
+    run = {
+        line
+        for page in PAGES
+        for block in BLOCK.findall(page.read_text(encoding="utf-8"))
+        for line in block.splitlines()
+    }
+    assert len(repeated) == 5 and set("".join(repeated).splitlines()) <= run
+    pictures = re.findall(r"figures/gallery_\w+\.png", gallery)
+    assert {picture.name for picture in (DOCS / "figures").glob("gallery_*")} == {
+        pathlib.Path(p).name for p in pictures
+    }
+
+
 def sweeps_page(names):
     """Checks of the statements on the page about its examples."""
     assert names["data"].regime.sizes == {"chamber_volume": 40, "initial_volume": 3}
@@ -35,8 +52,8 @@ def sweeps_page(names):
     best = names["best"]
     assert best.sizes["scene"] == 5 and (best.landing_ratio[:, 0] <= 0.8).all()
     assert (names["returning"].regime == 8).all()
-    told = names["told"]["snap_voltage"]
-    assert told["beyond_errors"] == 0 and told["differing"] > 0 and told["largest"] < 1e-9
+    compared = names["compared"]["snap_voltage"]
+    assert compared["beyond_errors"] == 0 and compared["differing"] > 0 and compared["largest"] < 1e-9
 
 
 def calibration_page(names):
