@@ -396,6 +396,8 @@ def _answer(args: argparse.Namespace) -> None:
     try:
         args.units = _units(dj, args) if hasattr(args, "si") else None
         document, draw = _COMMANDS[args.command](dj, args)
+    except dj.model.OutOfReach as error:
+        raise BadInput(option_names(str(error.in_units(args.units)), args, in_si=True)) from error
     except (ValueError, ImportError, StoreError) as error:
         raise BadInput(option_names(str(error), args)) from error
     units = getattr(args, "units", None)

@@ -576,8 +576,11 @@ def _option(name: str) -> str:
     return "--" + name.replace("_", "-")
 
 
-def option_names(message: str, args: argparse.Namespace) -> str:
-    """The library's message with the names of its arguments replaced by those of the options."""
+def option_names(message: str, args: argparse.Namespace, *, in_si: bool = False) -> str:
+    """The library's message with the names of its arguments replaced by those of the options.
+
+    Numbers of other messages than those `in_si` are dimensionless, which is said where options are in SI.
+    """
     aliases = {
         "load_fraction": "--load-window",
         "field": "--breakdown",
@@ -596,7 +599,7 @@ def option_names(message: str, args: argparse.Namespace) -> str:
         return _option(name) if hasattr(args, name) else found[0]
 
     said = re.sub(r"`(\w+)`", option, " ".join(message.split()))
-    if getattr(args, "si", False) and re.search(r"\d", said):
+    if getattr(args, "si", False) and not in_si and re.search(r"\d", said):
         said += (
             " (These numbers are dimensionless: lengths in A, pressures in μH/A, volumes in A³, voltages in H√(μ/ε).)"
         )

@@ -1,24 +1,11 @@
 """Documents of the command line as readable tables."""
 
 from collections.abc import Sequence
-from typing import Any
 
+from ..model import number_text, text_table
 from ..numerics import Code
 
 __all__ = ["summary"]
-
-
-def _number_text(value: Any) -> str:
-    if value is None:
-        return "–"
-    return f"{value:.10g}" if isinstance(value, float) else str(value)
-
-
-def _table(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    """Columns under their names, as wide as necessary."""
-    cells = [list(header), *([_number_text(v) for v in row] for row in rows)]
-    widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
-    return "\n".join("  " + "  ".join(c.ljust(w) for c, w in zip(r, widths, strict=True)).rstrip() for r in cells)
 
 
 def _range(values: Sequence[float | None]) -> str:
@@ -31,7 +18,7 @@ def summary(document: dict) -> str:
     if "store" in document:
         counts = [[name, code, n] for name in ("outcome", "regime") for code, n in document[name].items()]
         title = f"{document['scenes']} scenes in {document['store']}, {document['seconds']:.1f} s"
-        return "\n".join([title, _table(("variable", "code", "scenes"), counts)])
+        return "\n".join([title, text_table(("variable", "code", "scenes"), counts)])
     if "diagrams" in document:
         return "\n\n".join(summary(d) for d in document["diagrams"])
     if "runs" in document:
@@ -40,7 +27,7 @@ def summary(document: dict) -> str:
         return document["error"]
     units = document.get("unit_names", {})
     scene = ", ".join(
-        f"{k} {_number_text(v)}{_unit_of(k, units) if isinstance(v, float) else ''}"
+        f"{k} {number_text(v)}{_unit_of(k, units) if isinstance(v, float) else ''}"
         for k, v in document["scene"].items()
         if v is not None and k != "branches"
     )
@@ -75,9 +62,9 @@ def summary(document: dict) -> str:
             "breakdown_ratio",
             "reason",
         )
-        lines += ["", "ramp", _table(_heads(names, units), [[e[n] for n in names] for e in document["ramp"]])]
+        lines += ["", "ramp", text_table(_heads(names, units), [[e[n] for n in names] for e in document["ramp"]])]
     if document["area_strain_reason"] is not None:
-        lines += ["", f"area strain: {_number_text(document['area_strain'])} ({document['area_strain_reason']})"]
+        lines += ["", f"area strain: {number_text(document['area_strain'])} ({document['area_strain_reason']})"]
     return "\n".join(lines)
 
 
@@ -86,8 +73,8 @@ def _fit_lines(document: dict) -> list[str]:
     share = f"{100 * document['level']:g} %"
     lines = [
         "",
-        _table(["constant", "value", f"{share} from", "to"], rows),
-        f"noise: {_number_text(document['noise'])}",
+        text_table(["constant", "value", f"{share} from", "to"], rows),
+        f"noise: {number_text(document['noise'])}",
     ]
     return [*lines, *document.get("notices", ()), *(f"warning: {w}" for w in document["warnings"])]
 
@@ -101,14 +88,14 @@ def _map_lines(document: dict, units: dict[str, str]) -> list[str]:
         for b in document["boundaries"]
     ]
     header = ["boundary", "kind", "points", *_heads(document["over"], units)]
-    return ["", _table(["regime", "share"], [r for r in shares if r[1]]), "", _table(header, rows)]
+    return ["", text_table(["regime", "share"], [r for r in shares if r[1]]), "", text_table(header, rows)]
 
 
 def _design_lines(document: dict, units: dict[str, str]) -> list[str]:
     rows = [[n, v, n in document["active"], document["multipliers"].get(n)] for n, v in document["slack"].items()]
-    lines = ["", *(f"{n}: {_number_text(v)}{_unit_of(n, units)}" for n, v in document["parameters"].items())]
-    lines += [f"area strain: {_number_text(document['area_strain'])} ({document['regime']})"]
-    return [*lines, "", _table(["constraint", "left", "active", "multiplier"], rows)]
+    lines = ["", *(f"{n}: {number_text(v)}{_unit_of(n, units)}" for n, v in document["parameters"].items())]
+    lines += [f"area strain: {number_text(document['area_strain'])} ({document['regime']})"]
+    return [*lines, "", text_table(["constraint", "left", "active", "multiplier"], rows)]
 
 
 def _mode_lines(document: dict, units: dict[str, str]) -> list[str]:
@@ -119,13 +106,19 @@ def _mode_lines(document: dict, units: dict[str, str]) -> list[str]:
     first = document["modes"][0]
     head = ["n", "index", *(f"eigenvalue {k + 1}" for k in range(len(first["eigenvalues"])))]
     head += [f"frequency {k + 1} [Hz]" for k in range(len(first["frequency"] or []))]
-    least = f"least hoop stress: {_number_text(document['hoop_tension'])}{_unit_of('hoop_tension', units)}"
-    return [*_state_lines("state", [document["state"]], (), units), "", "modes", _table([*head, "error"], rows), least]
+    least = f"least hoop stress: {number_text(document['hoop_tension'])}{_unit_of('hoop_tension', units)}"
+    return [
+        *_state_lines("state", [document["state"]], (), units),
+        "",
+        "modes",
+        text_table([*head, "error"], rows),
+        least,
+    ]
 
 
 def _branch_sentences(branches: Sequence[dict]) -> list[str]:
     return [
-        f"branch {k}: " + ", ".join(f"{n} {_number_text(v)}" for n, v in own.items()) for k, own in enumerate(branches)
+        f"branch {k}: " + ", ".join(f"{n} {number_text(v)}" for n, v in own.items()) for k, own in enumerate(branches)
     ]
 
 
@@ -136,7 +129,7 @@ def _told(protocol: dict, units: dict[str, str]) -> list[str]:
         own = dict(protocol.get(name, {}))
         if own:
             kind = own.pop("protocol")
-            numbers = ", ".join(f"{n} {_number_text(v)}" for n, v in own.items() if v is not None)
+            numbers = ", ".join(f"{n} {number_text(v)}" for n, v in own.items() if v is not None)
             unit = f" ({units[name]}, rates in it per unit of time)" if name in units else ""
             lines.append(f"{name}: {kind}{f', {numbers}' if numbers else ''}{unit}")
     return lines
@@ -168,7 +161,7 @@ def _run_lines(document: dict, units: dict[str, str]) -> list[str]:
     ]
     lines = [*_branch_sentences(document["scene"].get("branches", ())), *_told(document["protocol"], units)]
     lines += [f"start: {document['protocol']['start']}; times in the unit of the relaxation times"]
-    return [*lines, "", _table([*_heads(names, units), "error", "reason"], rows), "", _happened(document, units)]
+    return [*lines, "", text_table([*_heads(names, units), "error", "reason"], rows), "", _happened(document, units)]
 
 
 def _unit_of(name: str, units: dict[str, str]) -> str:
@@ -189,10 +182,10 @@ def _branch_lines(branches: Sequence[dict], units: dict[str, str]) -> list[str]:
     ]
     codes = dict.fromkeys(code for b in branches for code in (b["start"], b["end"]))
     sentences = [f"  {code}: {Code[code].sentence}" for code in codes]
-    return ["", "branches", _table(header, rows), *sentences]
+    return ["", "branches", text_table(header, rows), *sentences]
 
 
 def _state_lines(title: str, states: Sequence[dict], leading: Sequence[str], units: dict[str, str]) -> list[str]:
     names = (*leading, "voltage", "pressure", "volume", "apex_stretch", "breakdown_ratio", "index")
     rows = [[*(s[n] for n in names), f"{s['error_estimate']:.1e}", ", ".join(s["flags"]) or None] for s in states]
-    return ["", title, _table([*_heads(names, units), "error", "flags"], rows)]
+    return ["", title, text_table([*_heads(names, units), "error", "flags"], rows)]

@@ -405,7 +405,7 @@ def voltage_volume(
         if isinstance(held, ConstantPressure) and too_flat(scene.membrane, "pressure", float(held.pressure)):
             raise SceneError(Code.near_flat) from None
         if isinstance(held, PrescribedVolume):
-            check_reachable(scene.membrane, float(held.volume))
+            check_reachable(scene.membrane, float(held.volume), scene.units)
         raise
     up, down = build_ramp(solved, filling[1] if isinstance(mechanical(loading), Chamber) else None)
     return _diagram("voltage-volume", scene, solved, complete, points, _up=up, _down=down)

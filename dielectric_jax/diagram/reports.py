@@ -23,6 +23,7 @@ from ..model import (
     explain,
     mechanical,
     profile,
+    text_table,
 )
 from ..numerics import SceneError
 from ..plot import chamber_voltages, plot_chamber, plot_diagram
@@ -168,8 +169,9 @@ class Report:
             return self.sentences
         return (*self.sentences, f"Regime: {self.regime.words}. {explain(self.regime.name)}")
 
-    def _rows(self) -> tuple[list[str], list[list[str]]]:
-        names = ("voltage", "pressure", "volume", "apex_stretch", "breakdown_ratio")
+    def _rows(self) -> tuple[list[str], list[list[typing.Any]]]:
+        charge = ("charge",) if self.diagram.control == "charge" else ()
+        names = ("voltage", *charge, "pressure", "volume", "apex_stretch", "breakdown_ratio")
         units = self.scene.units
         records: typing.Any = self.diagram.events or self.diagram.special_points
         shown = records if units is None else units.read(records)
@@ -178,14 +180,11 @@ class Report:
             special = isinstance(record, SpecialPoint)
             what = record.kind if special else f"{record.event} ({record.direction})"
             state = record if special else record.state
-            rows.append([str(what), *(f"{getattr(state, n):.6g}" for n in names)])
+            rows.append([str(what), *(getattr(state, n) for n in names)])
         return ["", *column_heads(names, units)], rows
 
     def __str__(self) -> str:
-        first, rows = self._rows()
-        widths = [max(map(len, column)) for column in zip(first, *rows, strict=True)]
-        table = ["  " + "  ".join(c.ljust(w) for c, w in zip(r, widths, strict=True)).rstrip() for r in (first, *rows)]
-        return "\n".join([*self.lines, "", *table])
+        return "\n".join([*self.lines, "", text_table(*self._rows(), digits=6)])
 
     __repr__ = __str__
 

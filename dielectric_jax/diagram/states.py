@@ -14,12 +14,14 @@ from ..model import (
     ConstantPressure,
     ConstantVoltage,
     Membrane,
+    OutOfReach,
     Points,
     PrescribedVolume,
     Scene,
     Shooting,
     ShootingMethod,
     State,
+    Units,
     Window,
     as_scalar,
     cached_scan,
@@ -125,10 +127,8 @@ def filling(scene: Scene, tolerance: float, method: ShootingMethod | None = None
         if too_flat(membrane, name.removeprefix("initial_"), wanted):
             raise SceneError(Code.near_flat)
         most = _reach(membrane, name.removeprefix("initial_"))
-        raise ValueError(
-            f"`{name}` must lie between 0 and {most:.6g}, what the membrane reaches at zero voltage up to its largest stretch, "
-            f"but is {wanted!r}."
-        )
+        what = "what the membrane reaches at zero voltage up to its largest stretch"
+        raise OutOfReach(name, most, what, wanted, scene.units)
     return (filled[0], wanted) if name == "initial_volume" else (wanted, filled[1])
 
 
@@ -266,13 +266,11 @@ def _distinct_states(membrane: Membrane, results: list[Points], tolerance: float
     return states, vague
 
 
-def check_reachable(membrane: Membrane, volume: float) -> None:
+def check_reachable(membrane: Membrane, volume: float, units: Units | None = None) -> None:
     """Refuses a volume that the membrane does not reach."""
     most = _reach(membrane, "volume")
     if volume > most:
-        raise ValueError(
-            f"`volume` must lie between 0 and {most:.6g}, what the membrane reaches up to its largest stretch, but is {volume!r}."
-        )
+        raise OutOfReach("volume", most, "what the membrane reaches up to its largest stretch", volume, units)
     if too_flat(membrane, "volume", volume):
         raise SceneError(Code.near_flat)
 

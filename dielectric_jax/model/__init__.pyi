@@ -66,8 +66,11 @@ from .records import (
     State,
     column_heads,
     events_table,
+    html_table,
+    number_text,
     plain,
     points_table,
+    text_table,
     voltage_of,
 )
 from .resolution import (
@@ -86,7 +89,7 @@ from .scene_batch import LANES, Corrected, SceneBatch, calls, difficulty, load_f
 from .shooting import UNKNOWNS, eighth_order_step, integrate_membrane, rim_with_sensitivities, shoot
 from .shooting_method import ShootingMethod, shooting_of
 from .stability import Stability, least_along, stability_of
-from .units import ATMOSPHERE, VHB_4910, Units, from_text, refuse_dimensionless, refuse_si
+from .units import ATMOSPHERE, VHB_4910, OutOfReach, Units, from_text, refuse_dimensionless, refuse_si
 from .viscoelastic import FLOW, Maxwell, Unrelaxed, Viscoelastic, spring_and_branches
 
 __all__ = [
@@ -140,6 +143,7 @@ __all__ = [
     "MooneyRivlin",
     "NeoHookean",
     "Ogden",
+    "OutOfReach",
     "Outcome",
     "Parameter",
     "Passed",
@@ -192,6 +196,7 @@ __all__ = [
     "film_of",
     "film_states",
     "from_text",
+    "html_table",
     "integrate_membrane",
     "is_concrete",
     "is_unit_absolute",
@@ -203,6 +208,7 @@ __all__ = [
     "map_nodes",
     "mechanical",
     "number",
+    "number_text",
     "one_of",
     "other_filling_left_out",
     "other_loading",
@@ -233,6 +239,7 @@ __all__ = [
     "stresses",
     "stretch_shares",
     "table",
+    "text_table",
     "unit_size",
     "value_program",
     "values",

@@ -14,13 +14,24 @@ import numpy as np
 from ..numerics import Code
 from .kinds import PointKind, RampEvent
 
-__all__ = ["html_table"]
+__all__ = [
+    "QUANTITIES",
+    "Branch",
+    "Event",
+    "Ramp",
+    "SpecialPoint",
+    "State",
+    "column_heads",
+    "events_table",
+    "html_table",
+    "number_text",
+    "points_table",
+    "text_table",
+]
 
 
 def _cell(value: Any) -> str:
-    if value is None or (isinstance(value, float) and math.isnan(value)):
-        return "–"
-    return html.escape(f"{value:.6g}" if isinstance(value, float) else str(value))
+    return html.escape(number_text(value, 6))
 
 
 def html_table(heads: Sequence[str], rows: Sequence[Sequence[Any]], caption: str = "") -> str:
@@ -35,17 +46,28 @@ def html_table(heads: Sequence[str], rows: Sequence[Sequence[Any]], caption: str
     return f"<table>{title}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
-__all__ = [
-    "QUANTITIES",
-    "Branch",
-    "Event",
-    "Ramp",
-    "SpecialPoint",
-    "State",
-    "column_heads",
-    "events_table",
-    "points_table",
-]
+def text_table(heads: Sequence[str], rows: Sequence[Sequence[Any]], digits: int = 10) -> str:
+    """A table with its heads as lines of text, columns as wide as necessary; what is missing as a dash.
+
+    >>> print(text_table(["kind", "pressure"], [["fold", 1.9086848]]))
+      kind  pressure
+      fold  1.9086848
+    """
+    cells = [list(heads), *([number_text(v, digits) for v in row] for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    return "\n".join("  " + "  ".join(c.ljust(w) for c, w in zip(r, widths, strict=True)).rstrip() for r in cells)
+
+
+def number_text(value: Any, digits: int = 10) -> str:
+    """A number with its digits, a dash for what is missing, anything else as text.
+
+    >>> number_text(1 / 3, 3), number_text(None), number_text("fold")
+    ('0.333', '–', 'fold')
+    """
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return "–"
+    return f"{value:.{digits}g}" if isinstance(value, float) else str(value)
+
 
 #: the columns of a branch, in the order of the JSON document
 QUANTITIES = (

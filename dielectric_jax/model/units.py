@@ -23,6 +23,7 @@ from .quantities import VACUUM_PERMITTIVITY, quantity
 __all__ = [
     "ATMOSPHERE",
     "VHB_4910",
+    "OutOfReach",
     "Scalar",
     "Units",
     "as_scalar",
@@ -266,6 +267,31 @@ class Units(Readable):
         if isinstance(what, (int, float, np.ndarray, jax.Array)):
             raise ValueError("`name` must be given with a number, such as 'voltage' or 'pressure', but is not.")
         return _converted(what, factor)
+
+
+class OutOfReach(ValueError):
+    """A pressure or volume that the membrane does not reach; the message is dimensionless, or in SI with `units`.
+
+    >>> error = OutOfReach("volume", 455.315, "what the membrane reaches", 500.0)
+    >>> str(error)
+    '`volume` must lie between 0 and 455.315, what the membrane reaches, but is 500.'
+    >>> str(error.in_units(Units()))
+    '`volume` must lie between 0 and 0.00518632 m³, what the membrane reaches, but is 0.0056953125 m³.'
+    """
+
+    def __init__(self, name: str, most: float, what: str, value: float, units: Units | None = None):
+        self.about, self.units = (name, most, what, value), units
+        if units is not None:
+            most, value = (float(units.to_si(v, name)) for v in (most, value))
+        unit = "" if units is None else f" {units.names()[name]}"
+        super().__init__(f"`{name}` must lie between 0 and {most:.6g}{unit}, {what}, but is {value:.10g}{unit}.")
+
+    def in_units(self, units: Units | None) -> "OutOfReach":
+        """The same in SI."""
+        return OutOfReach(*self.about, units)
+
+    def __reduce__(self):
+        return OutOfReach, (*self.about, self.units)
 
 
 _KINDS_OF_CONSTANTS = {"Pa": "stress", "m": "length", "F/m": "permittivity"}

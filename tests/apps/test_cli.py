@@ -130,6 +130,7 @@ def test_bad_input_is_one_sentence(capsys, argv, option, allowed):
 
 FROM_THE_LIBRARY = [
     (["sweep", "/no/file.toml", "--output", "s.zarr"], "SPEC.toml", "/no/file.toml"),
+    (["equilibrium", "--si", "--volume", "0.03"], "--volume", "0 and 0.00518632 m³"),
     (["equilibrium", "--volume", "500"], "--volume", "500"),
     (["equilibrium", "--volume", "1", "--prestretch", "12"], "--prestretch", "11.6"),
     (["equilibrium", "--apex-stretch", "0.5"], "--apex-stretch", "0.5"),
