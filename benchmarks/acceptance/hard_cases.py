@@ -780,14 +780,14 @@ INTRODUCTION = """# Hard cases
 
 Made by `python -m benchmarks.acceptance.hard_cases --table docs/hard_cases.md`; `tests/diagram/test_hard_cases.py` asks a part of it each time.
 
-Each row says what is asked, what is true and how that is known, what is answered, and the error. Nothing that is called true
-comes from the package: it is a closed form, a series, a reference number of another method, or the extended precision of
-`benchmarks/truth/extended_precision.py`, which shares no code with it; but batches are compared with their own lanes alone, and the surface's
-snap of a tiny chamber with the continuation's, which the row above it judges. The error is |error|/max(|value|, 1e-3), at the answered λa for states;
-"—" stands where the answer is a refusal, and ∞ where it is of another kind than what is true. A row is right where the error
-is at most ten times the estimate, or where the answer itself names its limit (last column but one): a flag, a result code,
-the outcome `unresolved`, an error in words. Where the package gives no estimate (counts, shots, second derivatives, reference
-numbers of few digits) the column holds the bound that is asked for. Random scenes are counted by `benchmarks/acceptance/hard_scenes.py`.
+Each row gives the question, the true value and its source, the answer, and the error. No true value comes from the package: it is a closed
+form, a series, a reference number of another method, or a value in extended precision from `benchmarks/truth/extended_precision.py`, which
+shares no code with the package. There are two exceptions: batches are compared with single lanes, and the surface's snap of a tiny chamber
+with that of continuation, which the row above it checks. The error is |error|/max(|value|, 1e-3), for states at the λa of the answer.
+"—" means that the answer is a refusal, and ∞ that it is of another kind than the true value. A row is right where the error is at most ten
+times the estimate, or where the answer names its limit (last column but one): a flag, a result code, the outcome `unresolved`, or an error
+in words. Where the package gives no estimate (counts, shots, second derivatives, reference numbers of few digits) the column holds the
+bound that is required. `benchmarks/acceptance/hard_scenes.py` counts random scenes.
 
 Dimensionless; Gent with J = 270 and λ0 = 1 unless said; λa apex stretch, q = Φ², t = q/q_max(λa), p pressure, V volume,
 V_C chamber, V_0 filling.

@@ -52,6 +52,8 @@ def test_other_ways_of_loading():
     assert (
         "snaps at a charge of 2.703" in charged.sentences[0] and "the charge is instead lowered" in charged.sentences[1]
     )
+    head, first, *_ = str(charged).split("\n\n")[1].splitlines()
+    assert head.split()[:2] == ["voltage", "charge"] and first.split()[:2] == ["start", "(up)"]
     flat = dj.report(dj.Scene(dj.Membrane(prestretch=2.0), dj.ConstantPressure(0.0)))
     assert "goes slack at a voltage of 0.5008" in flat.sentences[0] and "starts flat" in flat.sentences[1]
     held = dj.report(dj.Scene(dj.Membrane(), dj.ConstantVoltage(0.0)))
