@@ -50,6 +50,7 @@ _PAUSE = 3.0  # seconds without a change, after which the curve that is shown be
 _SIDE = (3.9, 2.3)  # inches of the two small pictures
 _EVENTS = dict(zip(SHAPES, (RampEvent.start, RampEvent.snap, RampEvent.landing, RampEvent.breakdown), strict=True))
 _BUILDING = "Building the surface of this film, which takes some seconds …"
+_SHOOTING = "Following the branches by shooting, which takes some seconds …"
 _MOVED = "The slider went back to where a ramp can start."
 
 
@@ -58,7 +59,7 @@ def explore(
     *,
     prestretches: Any = None,
     surface: SurfaceFamily | Surface | None = None,
-    size: tuple[float, float] = (7.6, 4.6),
+    size: tuple[float, float] = (7.2, 4.4),
     dpi: float = 90.0,
 ) -> Explorer:
     """Sliders for a film, its chamber and its loading beside the resulting diagram, for Jupyter.
@@ -256,7 +257,10 @@ class Explorer:
     def _see(self, scene: Scene, whole: bool) -> Glance | Diagram:
         surface = self._surface_on(scene)
         if not whole:
-            return glance(scene, surface)
+            try:
+                return glance(scene, surface)
+            except SceneError:  # its rows are too few near the flat film
+                self.message.value = _SHOOTING
         if isinstance(scene.loading, ConstantVoltage):
             return pressure_volume(scene.membrane, float(scene.loading.voltage), surface=surface)
         return voltage_volume(scene, surface=surface)

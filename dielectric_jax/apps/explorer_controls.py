@@ -34,7 +34,7 @@ _RANGES = {
 }
 _DECADES = (1.0, 4.4, 0.02, 1600.0)  # the chamber volume's: least, largest and step are powers of ten
 _SPAN = {Change.MATERIAL: (0.5, 2.0), Change.BREAKDOWN: (0.5, 1.5)}  # ends of the range of a constant, as shares of it
-_WIDE = {"style": {"description_width": "15em"}, "layout": {"width": "37em"}}
+_WIDE = {"style": {"description_width": "17em"}, "layout": {"width": "37em"}}
 
 
 def constants_of_film(scene: Scene) -> list[str]:
@@ -193,4 +193,5 @@ def _has_unit(name: str) -> bool:
 def _ends(low: float, high: float, step: float, value: float) -> dict[str, float]:
     """The limits of a slider that has `value` on one of its steps, because browsers round to steps."""
     first = value - step * max(0, math.floor((value - low) / step + 1e-9))
+    first = 0.0 if abs(first) < 1e-9 * step else first
     return {"min": max(first, min(low, value)), "max": max(high, value), "step": step}

@@ -227,6 +227,15 @@ def test_the_filling_ends_where_a_ramp_can_start(paper, volume):
         assert 2.9 < slider.value < PEAK[1]
 
 
+def test_nearly_flat_films_are_followed_by_shooting(paper):
+    """The rows of the surface hold hardly a state of so little gas beside a film that is nearly flat."""
+    paper.controls["chamber_volume"].value = 10.0
+    slider = paper.controls["initial_volume"]
+    slider.value = slider.min
+    assert isinstance(paper.seen, dj.diagram.Diagram) and "<b>" not in paper.message.value
+    assert paper.seen.events[0].state.volume == pytest.approx(slider.min, rel=1e-8)
+
+
 def test_no_position_of_a_load_is_an_error(paper):
     for loading, name in (("constant pressure", "pressure"), ("constant voltage", "voltage")):
         paper.controls["loading"].value = loading

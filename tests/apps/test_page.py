@@ -1,11 +1,8 @@
 """The explorer as a page: the command serves it, the explorer runs in its kernel, and Ctrl-C ends all of it."""
 
-import os
-import pathlib
 import re
 import signal
 import socket
-import subprocess
 import sys
 import urllib.request
 
@@ -14,31 +11,6 @@ import pytest
 import dielectric_jax as dj
 from dielectric_jax.apps.cli import main
 from dielectric_jax.apps.explorer_page import page_of
-
-ROOT = pathlib.Path(__file__).parents[2]
-
-
-@pytest.fixture
-def page(tmp_path):
-    """The process of `dielectric-jax explore`, and the address that it printed."""
-    pytest.importorskip("voila")
-    command = [sys.executable, "-m", "dielectric_jax", "explore", "--chamber-volume", "800", "--initial-volume", "2.42"]
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path)}
-    process = subprocess.Popen(
-        [*command, "--no-browser"],
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=tmp_path,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )
-    try:
-        line = process.stdout.readline()
-        yield process, re.search(r"http://127\.0\.0\.1:\d+/\?token=\w+", line)[0]
-    finally:
-        process.kill()
-        process.communicate()
 
 
 def test_the_page_shows_the_widgets_of_a_kernel_and_ends_with_ctrl_c(page, tmp_path):

@@ -1,0 +1,35 @@
+"""The explorer's page in a process of its own, for tests of the page and of what a browser shows of it."""
+
+import os
+import pathlib
+import re
+import signal
+import subprocess
+import sys
+
+import pytest
+
+ROOT = pathlib.Path(__file__).parents[2]
+
+
+@pytest.fixture
+def page(tmp_path):
+    """The process of `dielectric-jax explore`, and the address that it printed."""
+    pytest.importorskip("voila")
+    command = [sys.executable, "-m", "dielectric_jax", "explore", "--chamber-volume", "800", "--initial-volume", "2.42"]
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path)}
+    process = subprocess.Popen(
+        [*command, "--no-browser"],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=tmp_path,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    try:
+        line = process.stdout.readline()
+        yield process, re.search(r"http://127\.0\.0\.1:\d+/\?token=\w+", line)[0]
+    finally:
+        process.kill()
+        process.communicate()
