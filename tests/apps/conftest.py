@@ -3,29 +3,33 @@
 import os
 import pathlib
 import re
-import signal
 import subprocess
 import sys
 
 import pytest
 
 ROOT = pathlib.Path(__file__).parents[2]
+# a shell's background jobs, and so their children, would ignore Ctrl-C
+RUN = """
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from dielectric_jax.apps.cli import main
+sys.exit(main())
+"""
 
 
 @pytest.fixture
 def page(tmp_path):
     """The process of `dielectric-jax explore`, and the address that it printed."""
     pytest.importorskip("voila")
-    command = [sys.executable, "-m", "dielectric_jax", "explore", "--chamber-volume", "800", "--initial-volume", "2.42"]
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path)}
+    command = [sys.executable, "-c", RUN, "explore", "--chamber-volume", "800", "--initial-volume", "2.42"]
     process = subprocess.Popen(
         [*command, "--no-browser"],
-        env=environment,
+        env=os.environ | {"PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path)},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
         cwd=tmp_path,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
     try:
         line = process.stdout.readline()

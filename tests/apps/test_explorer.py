@@ -442,9 +442,9 @@ def test_units_are_those_of_the_scene():
 def test_an_opening_stays_as_the_prestretch_changes():
     air = dj.Chamber(volume=18.225e-3, initial_volume=12e-6, atmospheric_pressure=100e3)
     scene = dj.Scene.from_si(dj.Membrane(), air, dj.Units.for_opening("22.5 mm"))
-    seen = dj.apps.explore(scene, prestretches=[1.0, 1.5])
-    seen.controls["prestretch"].value = 1.5
-    assert float(seen.scene.units.radius) == pytest.approx(15e-3, rel=1e-12)
+    seen = dj.apps.explore(scene, prestretches=[1.0, 2.0])
+    seen.controls["prestretch"].value = 2.0
+    assert float(seen.scene.units.radius) == pytest.approx(11.25e-3, rel=1e-12)
     assert seen.scene.value_of("chamber_volume") == pytest.approx(18.225e-3, rel=1e-9)
     assert seen.scene.value_of("atmospheric_pressure") == pytest.approx(100e3, rel=1e-12)
 
