@@ -35,5 +35,5 @@ def page(tmp_path):
         line = process.stdout.readline()
         yield process, re.search(r"http://127\.0\.0\.1:\d+/\?token=\w+", line)[0]
     finally:
-        process.kill()
-        process.communicate()
+        process.terminate()  # which also ends the kernel
+        process.communicate(timeout=60)

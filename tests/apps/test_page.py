@@ -9,8 +9,8 @@ import urllib.request
 import pytest
 
 import dielectric_jax as dj
+from dielectric_jax.apps import explorer_page
 from dielectric_jax.apps.cli import main
-from dielectric_jax.apps.explorer_page import page_of
 
 
 def test_the_page_shows_the_widgets_of_a_kernel_and_ends_with_ctrl_c(page, tmp_path):
@@ -29,7 +29,7 @@ def test_the_page_shows_the_widgets_of_a_kernel_and_ends_with_ctrl_c(page, tmp_p
 
 def test_the_page_begins_with_the_scene():
     scene = dj.Scene(dj.Membrane(dj.Gent(90.0)), dj.Chamber(volume=800.0, initial_volume=2.0))
-    (cell,) = page_of(scene, "/folder")["cells"]
+    (cell,) = explorer_page.page_of(scene, "/folder")["cells"]
     lines = cell["source"].splitlines()
     assert "os.chdir('/folder')" in lines and "loading = Chamber(volume=800.0, initial_volume=2.0)" in lines
 
@@ -45,7 +45,7 @@ def test_the_page_begins_with_the_scene():
 )
 def test_the_options_are_where_the_sliders_begin(monkeypatch, argv, loading):
     served = []
-    monkeypatch.setattr(dj.apps.explorer_page, "serve", lambda scene, **options: served.append((scene, options)))
+    monkeypatch.setattr(explorer_page, "serve", lambda scene, **options: served.append((scene, options)))
     assert main(["explore", *argv, "--stretch-limit", "90", "--port", "8000"]) == 0
     ((scene, options),) = served
     assert repr(scene.loading) == repr(loading) and float(scene.membrane.material.stretch_limit) == 90.0
