@@ -370,6 +370,19 @@ def _run_paper(args: argparse.Namespace) -> None:
         raise BadInput(option_names(str(error), args)) from error
 
 
+def _run_explore(dj: Any, args: argparse.Namespace) -> None:
+    from .explorer_page import serve
+
+    args.volume, args.control = None, "voltage"
+    args.stretch_window = args.load_window = None
+    if args.pressure is None and args.chamber_volume is None:
+        args.chamber_volume, args.initial_volume = 1600.0, 2.42
+        if args.units is not None:
+            args.atmospheric_pressure = args.units.reduce(dj.model.ATMOSPHERE, "atmospheric_pressure")
+    _say_doubt(dj, args)
+    serve(_scene(dj, args), port=args.port, browser=not args.no_browser)
+
+
 def _run_explain(args: argparse.Namespace) -> None:
     from ..model import GLOSSARY, explain
 
@@ -378,6 +391,14 @@ def _run_explain(args: argparse.Namespace) -> None:
             print(f"{word}: {explain(word)}" if len(args.words) != 1 else explain(word))
         except ValueError as error:
             raise BadInput(str(error).replace("`word`", "WORD")) from error
+
+
+def _say_doubt(dj: Any, args: argparse.Namespace) -> None:
+    """Says where the breakdown law of VHB serves another film."""
+    units = getattr(args, "units", None)
+    doubt = dj.model.doubt_of_vhb(dj.VHBBreakdown(), units) if units is not None and args.breakdown == "vhb" else None
+    if doubt:
+        print(f"{PROGRAM}: {doubt}".replace("`breakdown`", "--breakdown"), file=sys.stderr)
 
 
 def _answer(args: argparse.Namespace) -> None:
@@ -395,15 +416,14 @@ def _answer(args: argparse.Namespace) -> None:
         args.points = 256
     try:
         args.units = _units(dj, args) if hasattr(args, "si") else None
+        if args.command == "explore":
+            return _run_explore(dj, args)
         document, draw = _COMMANDS[args.command](dj, args)
     except dj.model.OutOfReach as error:
         raise BadInput(option_names(str(error.in_units(args.units)), args, in_si=True)) from error
     except (ValueError, ImportError, StoreError) as error:
         raise BadInput(option_names(str(error), args)) from error
-    units = getattr(args, "units", None)
-    doubt = dj.model.doubt_of_vhb(dj.VHBBreakdown(), units) if units is not None and args.breakdown == "vhb" else None
-    if doubt:
-        print(f"{PROGRAM}: {doubt}".replace("`breakdown`", "--breakdown"), file=sys.stderr)
+    _say_doubt(dj, args)
     _write(document, draw, args)
 
 

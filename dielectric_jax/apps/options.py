@@ -16,6 +16,7 @@ from ..numerics import LARGEST, shown, whole_range
 
 __all__ = [
     "CHAMBER_OPTIONS",
+    "FIGURE_SUFFIXES",
     "MATERIAL_CONSTANTS",
     "PROGRAM",
     "UNIT_CONSTANTS",
@@ -29,7 +30,7 @@ __all__ = [
 
 
 PROGRAM = "dielectric-jax"
-_FIGURE_SUFFIXES = ("eps", "jpg", "jpeg", "pdf", "png", "svg")
+FIGURE_SUFFIXES = ("eps", "jpg", "jpeg", "pdf", "png", "svg")
 CHAMBER_OPTIONS = ("initial_volume", "initial_pressure", "atmospheric_pressure", "polytropic_exponent")
 
 #: the material's own constants, as options and as arguments of its class
@@ -154,10 +155,10 @@ def _add_parameter(group, name: str, whose: str = "", value: float | None = None
     )
 
 
-def _common() -> Parser:
-    """The options of every command about one membrane: the membrane, its units, and the output."""
-    common = Parser(add_help=False)
-    group = common.add_argument_group("membrane")
+def _film() -> Parser:
+    """The options of every command about one membrane: the membrane, and its units."""
+    film = Parser(add_help=False)
+    group = film.add_argument_group("membrane")
     group.add_argument("--material", choices=list(MATERIAL_CONSTANTS), default="gent", help="free energy (gent)")
     for material, names in MATERIAL_CONSTANTS.items():
         for name in names:
@@ -166,13 +167,19 @@ def _common() -> Parser:
     group.add_argument(
         "--breakdown", type=_breakdown, default="vhb", metavar="vhb|FIELD", help="law of the breakdown field (vhb)"
     )
-    group = common.add_argument_group("units")
+    group = film.add_argument_group("units")
     group.add_argument("--si", action="store_true", help="options and results in SI")
     for name, (symbol, what, kind) in UNIT_CONSTANTS.items():
         group.add_argument(_option(name), type=_constant_of(kind), metavar=symbol, help=what)
+    return film
+
+
+def _common() -> Parser:
+    """The options of every command that answers about one membrane: the membrane, its units, and the output."""
+    common = Parser(add_help=False, parents=[_film()])
     group = common.add_argument_group("answer")
     group.add_argument("--json", metavar="FILE|-", help="write JSON to a file, or to standard output with -")
-    group.add_argument("--figure", metavar="FILE", help=f"draw a figure ({', '.join(_FIGURE_SUFFIXES)})")
+    group.add_argument("--figure", metavar="FILE", help=f"draw a figure ({', '.join(FIGURE_SUFFIXES)})")
     group.add_argument("--tolerance", type=_positive, default=1e-9, metavar="TOL", help="largest error (1e-9)")
     group.add_argument("--points", type=_points, metavar="N", help="points of a branch (256)")
     group.add_argument(
@@ -281,6 +288,23 @@ def _add_csv(parser: Parser) -> None:
     parser.add_argument("--csv", metavar="FILE", help="write the points of all branches as a table")
 
 
+def _add_explore(commands) -> None:
+    page = commands.add_parser(
+        "explore",
+        parents=[_film()],
+        help="sliders and diagrams in a browser",
+        description=_DESCRIPTION
+        + """
+Serves a page with sliders to this machine only, until Ctrl-C; the options are where its sliders begin.""",
+    )
+    loading = page.add_mutually_exclusive_group()
+    for name in ("pressure", "chamber_volume"):
+        _add_parameter(loading, name)
+    _add_filling(page)
+    page.add_argument("--port", type=_whole(1, 65535), metavar="N", help="port of the page (a free one)")
+    page.add_argument("--no-browser", action="store_true", help="do not open the page, only print its address")
+
+
 def _add_explain(commands) -> None:
     words = commands.add_parser(
         "explain", help="what a word of the results means", description="Explains words of results, such as returns."
@@ -368,7 +392,7 @@ def _add_specified(commands) -> None:
         asked = commands.add_parser(name, help=what, description=_DESCRIPTION)
         asked.add_argument("specification", metavar="SPEC.toml", help=holds)
         asked.add_argument("--json", metavar="FILE|-", help="write JSON to a file, or to standard output with -")
-        asked.add_argument("--figure", metavar="FILE", help=f"draw a figure ({', '.join(_FIGURE_SUFFIXES)})")
+        asked.add_argument("--figure", metavar="FILE", help=f"draw a figure ({', '.join(FIGURE_SUFFIXES)})")
 
 
 def make_parser() -> Parser:
@@ -389,6 +413,7 @@ def make_parser() -> Parser:
     _add_sweep(commands)
     _add_calibrate(commands, common)
     _add_specified(commands)
+    _add_explore(commands)
     _add_explain(commands)
     return parser
 
@@ -454,15 +479,15 @@ def _check(args: argparse.Namespace) -> None:
         unit = "V/m with --si, at least" if args.si else "units of √(μ/ε) without --si, at most"
         raise BadInput(f"--breakdown must be in {unit} {LARGEST_FIELD:g}, but is {args.breakdown:g}.")
     for name in ("stretch_window", "load_window"):
-        window = getattr(args, name)
+        window = getattr(args, name, None)
         if window is not None and not window[0] < window[1]:
             raise BadInput(f"{_option(name)} must be two numbers A < B, but is {window[0]:g} {window[1]:g}.")
-    if args.command in ("voltage-volume", "modes", "equilibrium"):
+    if args.command in ("voltage-volume", "modes", "equilibrium", "explore"):
         given = [name for name in CHAMBER_OPTIONS if getattr(args, name) is not None]
         held = ("pressure", "volume", "apex_stretch")
-        other = next((name for name in held if getattr(args, name, None) is not None), "volume")
+        others = [f", not with {_option(name)}" for name in held if getattr(args, name, None) is not None]
         if args.chamber_volume is None and given:
-            raise BadInput(f"{_option(given[0])} must be given with --chamber-volume only, not with {_option(other)}.")
+            raise BadInput(f"{_option(given[0])} must be given with --chamber-volume only{''.join(others[:1])}.")
         if args.chamber_volume is not None and args.initial_volume is None and args.initial_pressure is None:
             raise BadInput(
                 "--initial-volume or --initial-pressure must be given with --chamber-volume, but neither is."
@@ -515,15 +540,15 @@ def _check_files(args: argparse.Namespace) -> None:
         file = getattr(args, name, None)
         if file is not None and not _can_be(file):
             raise BadInput(f"{said} must be the name of a file, but is {shown(file)}.")
-    if args.json is not None and args.json != "-":
+    if getattr(args, "json", None) not in (None, "-"):
         _check_file("--json", args.json)
     if getattr(args, "csv", None) is not None:
         _check_file("--csv", args.csv)
     if getattr(args, "figure", None) is not None:
         _check_file("--figure", args.figure)
-        if Path(args.figure).suffix[1:].lower() not in _FIGURE_SUFFIXES:
+        if Path(args.figure).suffix[1:].lower() not in FIGURE_SUFFIXES:
             raise BadInput(
-                f"--figure must be a file name ending in {one_of(_FIGURE_SUFFIXES)}, but is {shown(args.figure)}."
+                f"--figure must be a file name ending in {one_of(FIGURE_SUFFIXES)}, but is {shown(args.figure)}."
             )
 
 

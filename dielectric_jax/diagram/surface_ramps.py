@@ -44,6 +44,7 @@ __all__ = [
     "chamber_curves",
     "chamber_ramps",
     "filling_volumes",
+    "largest_start",
     "loading_arrays",
     "pressure_curves",
     "pressure_ramps",
@@ -377,6 +378,30 @@ def filling_volumes(surface: Surface, pressure) -> np.ndarray:
     """
     (volume,) = _run(_filling_chunk, surface, _checked_loadings(surface, {"initial_pressure": pressure}), "pressure", 0)
     return volume
+
+
+def largest_start(loading: Chamber | ConstantPressure, surface: Surface) -> float:
+    """The largest V_0 of a chamber, or the largest p, below which a ramp starts from a stable state at zero voltage.
+
+    At zero voltage (p + p_atm)(V + V_C)ⁿ, or p itself, rises along the rows of the surface up to that filling. The answer is a
+    row's and lies before the maximum, up to two rows below it; it is the end of the surface where there is no maximum.
+
+    >>> from dielectric_jax import Membrane
+    >>> surface = Surface.build(Membrane())
+    >>> 1.90 < largest_start(ConstantPressure(1.0), surface) < 1.908684829414    # the peak of the pressure
+    True
+    """
+    rows = rows_of(ById(surface))
+    p, v = (np.asarray(values) for values in (rows.flat_pressure, rows.flat_volume))
+    known = np.isfinite(p) & np.isfinite(v)
+    p, v = p[known], v[known]
+    if isinstance(loading, Chamber):
+        held = np.log(p + loading.atmospheric_pressure) + loading.polytropic_exponent * np.log(v + loading.volume)
+    else:
+        held = p
+    falls = np.flatnonzero(np.diff(held) <= 0)
+    last = max(int(falls[0]) - 1, 0) if len(falls) else len(v) - 1
+    return float((v if isinstance(loading, Chamber) else p)[last])
 
 
 def loading_arrays(loading, surface: Surface) -> dict:

@@ -1,5 +1,12 @@
 from .animation import animate_ramp, animate_run, plot_ramp, ramp_path
-from .diagrams import chamber_voltages, plot_chamber, plot_diagram, plot_pressure_volume, plot_voltage_volume
+from .diagrams import (
+    chamber_voltages,
+    plot_chamber,
+    plot_chamber_curves,
+    plot_diagram,
+    plot_pressure_volume,
+    plot_voltage_volume,
+)
 from .drawing import (
     COLOURS,
     add_legend,
@@ -34,6 +41,7 @@ __all__ = [
     "line_entry",
     "new_figure",
     "plot_chamber",
+    "plot_chamber_curves",
     "plot_courses",
     "plot_cross_section",
     "plot_diagram",

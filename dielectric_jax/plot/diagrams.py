@@ -46,7 +46,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["chamber_voltages", "plot_chamber", "plot_diagram", "plot_pressure_volume", "plot_voltage_volume"]
+__all__ = [
+    "chamber_voltages",
+    "plot_chamber",
+    "plot_chamber_curves",
+    "plot_diagram",
+    "plot_pressure_volume",
+    "plot_voltage_volume",
+]
 
 
 def plot_voltage_volume(
@@ -210,34 +217,68 @@ def plot_chamber(
         return figure
     left, right = figure.subplots(1, 2)
     plot_voltage_volume(diagram, ax=right, units=units)
-    right_limits = right.get_xlim()
+    plot_chamber_curves(diagram, curves, ax=left, units=units, limits=right.get_xlim())
+    return figure
+
+
+def plot_chamber_curves(
+    diagram: Any,
+    curves: Sequence[Any],
+    *,
+    ax: Axes | None = None,
+    units: Any = None,
+    limits: tuple[float, float] | None = None,
+    legend: bool = True,
+) -> Axes:
+    """Draws p against V: curves of the membrane, the line of the air or of what is held, and the events of the ramp.
+
+    Args:
+        diagram: a `Diagram` of kind "voltage-volume".
+        curves: diagrams of kind "pressure-volume" of the same membrane; `chamber_voltages` suggests their voltages.
+        ax: the axes to draw on; new ones when None.
+        units: the `Units` to draw in, as kV, ml and mbar; by default those the scene carries, else dimensionless.
+        limits: of the volume, unless the scene holds it; those of the curves when None.
+        legend: whether to add a legend.
+
+    Returns:
+        The axes.
+    """
+    _require_kind(diagram, "voltage-volume")
+    ax = new_axes(ax)
+    plot_pressure_volume(list(curves), ax=ax, units=units, stability=False, legend=False)
     diagram, units = viewed(diagram, units)
+    curves = [viewed(c, units)[0] for c in curves]
     held = _held_volume(diagram)
     if held is not None:
-        right_limits = (0.0, 2.2 * held)
-    plot_pressure_volume(list(curves), ax=left, units=units, stability=False, legend=False)
-    curves = [viewed(c, units)[0] for c in curves]
-    left.set_xlim(right_limits)
-    _frame_chamber(left, diagram, curves)
+        limits = (0.0, 2.2 * held)
+    if limits is not None:
+        ax.set_xlim(limits)
+    _frame_chamber(ax, diagram, curves)
     colours = sequence(len(curves))
     entries = [line_entry(voltage_text(c.voltage, units), colour=k) for c, k in zip(curves, colours, strict=True)]
+    entries.append(_draw_condition(ax, diagram, held))
+    if legend:
+        add_legend(ax, entries)
+    return ax
+
+
+def _draw_condition(ax: Axes, diagram: Any, held: float | None) -> tuple[Any, str]:
+    """Draws the line of the air, of the pressure or of the volume, with the events on it; returns its entry of a legend."""
+    style: dict[str, Any] = {"color": "black", "linestyle": GAS, "linewidth": 1.2, "zorder": 2.5}
     if held is not None:
-        left.axvline(held, color="black", linestyle=GAS, linewidth=1.2, zorder=2.5)
-        draw_events(left, diagram.events, "pressure")
-        add_legend(left, [*entries, line_entry("held volume", colour="black", linestyle=GAS)])
-        return figure
+        ax.axvline(held, **style)
+        draw_events(ax, diagram.events, "pressure")
+        return line_entry("held volume", colour="black", linestyle=GAS)
 
     def gas_line(volume: np.ndarray) -> np.ndarray:
         pressure = diagram.gas_pressure(volume)
         return np.full_like(volume, float(diagram.scene.loading.pressure)) if pressure is None else np.asarray(pressure)
 
-    volume = np.linspace(0, right_limits[1], 400)
-    left.plot(volume, gas_line(volume), color="black", linestyle=GAS, linewidth=1.2, zorder=2.5)
-    draw_events(left, diagram.events, "pressure", gas_line=gas_line)
+    volume = np.linspace(0, ax.get_xlim()[1], 400)
+    ax.plot(volume, gas_line(volume), **style)
+    draw_events(ax, diagram.events, "pressure", gas_line=gas_line)
     constant = diagram.gas_pressure(volume) is None
-    entries.append(line_entry("pressure held" if constant else "air", colour="black", linestyle=GAS))
-    add_legend(left, entries)
-    return figure
+    return line_entry("pressure held" if constant else "air", colour="black", linestyle=GAS)
 
 
 def plot_diagram(

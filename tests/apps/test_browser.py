@@ -1,4 +1,4 @@
-"""The explorer in a browser: a Jupyter server, a headless Chromium, all cells run, a slider moved by the keyboard.
+"""The explorer in a browser: a headless Chromium, the notebook in JupyterLab and the page, a slider moved by the keyboard.
 
 Skipped if no Chromium, no driver for it or no JupyterLab is found.
 """
@@ -85,41 +85,75 @@ def run_all(page):
     raise AssertionError("the cells did not begin to run")
 
 
-def test_a_slider_moved_by_the_keyboard_redraws_the_picture(server, tmp_path):
-    address, token = server
+@pytest.fixture
+def tab():
+    """A tab of the browser, and the errors of its console."""
     complaints = []
     with sync_api.sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        page = browser.new_page(viewport={"width": 1100, "height": 1300})
+        page = browser.new_page(viewport={"width": 1200, "height": 1000})
         page.set_default_timeout(PATIENCE)
+        # fonts from elsewhere are not asked for
+        page.route(lambda url: "//127.0.0.1" not in url, lambda route: route.fulfill(body=""))
         page.on("console", lambda m: complaints.append(f"{m.text} ({m.location})") if m.type == "error" else None)
         page.on("pageerror", lambda error: complaints.append(str(error)))
-        page.goto(f"{address}/doc/tree/explorer.ipynb?token={token}")
-        page.wait_for_selector(".jp-CodeCell")
-        page.wait_for_selector('.jp-Notebook-ExecutionIndicator[data-status="idle"]', state="attached")
-        run_all(page)
-        page.wait_for_selector("img.widget-image", state="attached")
-        page.wait_for_function(IDLE)
-        assert page.locator('[data-mime-type="application/vnd.jupyter.stderr"]', has_text="Error").count() == 0
-
-        picture = page.locator("img.widget-image")
-        picture.scroll_into_view_if_needed()
-        handle = page.locator(".widget-slider:visible .noUi-handle").first  # the chamber's volume
-        before, source, told = (
-            picture.evaluate(PIXELS),
-            picture.get_attribute("src"),
-            page.locator(".widget-html").inner_text(),
-        )
-        assert "Snaps at Φ = 0.0765" in told  # V_C = 1600, V_0 = 2.42, section 4 of the model
-        handle.focus()
-        for _ in range(5):
-            page.keyboard.press("ArrowLeft")
-        page.wait_for_function(
-            "old => !document.querySelector('.widget-html').innerText.includes(old)", arg="Φ = 0.0765 "
-        )
-        page.wait_for_function("old => document.querySelector('img.widget-image').src !== old", arg=source)
-        assert picture.evaluate(PIXELS) != before
-        assert page.locator(".widget-html").inner_text() != told
-        page.screenshot(path=os.environ.get("DIELECTRIC_JAX_SCREENSHOT", str(tmp_path / "page.png")))
+        yield page, complaints
         browser.close()
+
+
+def screenshot(page, tmp_path, name):
+    """Keeps a picture of the page for people, in a folder that they name."""
+    folder = os.environ.get("DIELECTRIC_JAX_SCREENSHOTS", str(tmp_path))
+    page.screenshot(path=f"{folder}/{name}.png", full_page=True)
+
+
+def move_the_chamber(page):
+    """Moves the slider of the chamber's volume by five keys; the story and the picture must follow."""
+    picture = page.locator("img.widget-image").first
+    picture.scroll_into_view_if_needed()
+    story = page.locator(".widget-html").first
+    handle = page.locator(".widget-slider:visible .noUi-handle").first
+    before, source, told = picture.evaluate(PIXELS), picture.get_attribute("src"), story.inner_text()
+    handle.focus()
+    for _ in range(5):
+        page.keyboard.press("ArrowLeft")
+    page.wait_for_function("old => document.querySelector('.widget-html').innerText !== old", arg=told)
+    page.wait_for_function("old => document.querySelector('img.widget-image').src !== old", arg=source)
+    assert picture.evaluate(PIXELS) != before
+    return told
+
+
+def test_a_slider_moved_by_the_keyboard_redraws_the_picture(server, tab, tmp_path):
+    address, token = server
+    page, complaints = tab
+    page.goto(f"{address}/doc/tree/explorer.ipynb?token={token}")
+    page.wait_for_selector(".jp-CodeCell")
+    page.wait_for_selector('.jp-Notebook-ExecutionIndicator[data-status="idle"]', state="attached")
+    run_all(page)
+    page.wait_for_selector("img.widget-image", state="attached")
+    page.wait_for_function(IDLE)
+    assert page.locator('[data-mime-type="application/vnd.jupyter.stderr"]', has_text="Error").count() == 0
+    assert "Snaps at Φ = 0.0765" in move_the_chamber(page)  # V_C = 1600, V_0 = 2.42, section 4 of the model
+    screenshot(page, tmp_path, "notebook")
+    assert not complaints
+
+
+def test_the_page_answers_to_its_sliders_and_buttons(page, tab, tmp_path):
+    (_, address), (tab, complaints) = page, tab
+    tab.goto(address)
+    tab.wait_for_selector("img.widget-image", state="attached")
+    assert "Snaps at Φ = 0.0972" in move_the_chamber(tab)  # V_C = 800
+    shape = tab.locator("img.widget-image").nth(2)
+    source = shape.get_attribute("src")
+    tab.get_by_role("button", name="landing", exact=True).click()
+    tab.wait_for_function("old => document.querySelectorAll('img.widget-image')[2].src !== old", arg=source)
+    tab.get_by_role("button", name="copy as code").click()
+    tab.wait_for_function("() => document.querySelector('textarea').value.includes('scene = Scene(membrane, loading)')")
+    screenshot(tab, tmp_path, "page")
+    tab.get_by_role("button", name="reset").click()
+    tab.wait_for_function("() => document.querySelector('.widget-html').innerText.includes('Φ = 0.0972')")
+    tab.get_by_role("textbox", name="file").fill("seen.png")
+    tab.get_by_role("button", name="save picture").click()
+    tab.wait_for_function("() => document.querySelector('.widget-html').innerText.startsWith('Saved')")
+    assert (tmp_path / "seen.png").read_bytes().startswith(b"\x89PNG")
     assert not complaints

@@ -110,8 +110,12 @@ BAD = [
     (
         ["draw"],
         "COMMAND",
-        "voltage-volume, modes, paper, sweep, calibrate, regimes, optimise, follow or explain, but is 'draw'",
+        "voltage-volume, modes, paper, sweep, calibrate, regimes, optimise, follow, explore or explain, but is 'draw'",
     ),
+    (["explore", "--pressure", "1", "--initial-volume", "1"], "--initial-volume", "not with --pressure"),
+    (["explore", "--initial-volume", "1"], "--initial-volume", "with --chamber-volume only."),
+    (["explore", "--port", "0"], "--port", "from 1 to 65535, but is '0'"),
+    (["explore", "--figure", "a.png"], "'--figure a.png'", "not known here"),
     (["calibrate"], "DATA.csv", "must be given"),
     (["calibrate", "none.csv"], "DATA.csv", "readable CSV file"),
     (["calibrate", "none.csv", "--level", "2"], "--level", "between 0 and 1"),
@@ -192,7 +196,7 @@ def test_streams_that_lack_characters_are_readable(monkeypatch, encoding, errors
     raw = {name: io.BytesIO() for name in ("stdout", "stderr")}
     for name, buffer in raw.items():
         monkeypatch.setattr(sys, name, io.TextIOWrapper(buffer, encoding=encoding, errors=errors))
-    for command in ("equilibrium", "voltage-volume", "sweep", "calibrate", "paper"):
+    for command in ("equilibrium", "voltage-volume", "sweep", "calibrate", "explore", "paper"):
         with pytest.raises(SystemExit):
             main([command, "--help"])
     assert main(["equilibrium", "--volume", "1", "--breakdown", "ψ\udcff"]) == 2

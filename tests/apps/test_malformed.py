@@ -14,8 +14,8 @@ import re
 import pytest
 
 import dielectric_jax as dj
+from dielectric_jax.apps import explorer_page, paper
 from dielectric_jax.apps import options as arguments
-from dielectric_jax.apps import paper
 from dielectric_jax.apps.cli import main
 from dielectric_jax.design import area_strain as design
 from dielectric_jax.design import regime_maps
@@ -40,6 +40,7 @@ COMMANDS = {
     "regimes": ["regimes.toml"],
     "optimise": ["design.toml"],
     "follow": ["follow.toml"],
+    "explore": [],
     "paper": ["--output", "paper"],
 }
 
@@ -64,6 +65,7 @@ def stopped(monkeypatch, tmp_path):
         (design, "scan_designs"),
         (following, "serve"),
         (paper, "Paper"),
+        (explorer_page, "serve"),
         (dj, "calibrate"),
         (dj.Surface, "build"),
         (dj.surface.SurfaceFamily, "build"),
