@@ -25,6 +25,7 @@ __all__ = [
     "ISLAND",
     "ITERATIONS",
     "LANES",
+    "LARGEST_STRAIN",
     "LEAST_LARGEST",
     "LEAST_VOLUME",
     "LONGEST_HEAD",
@@ -197,5 +198,7 @@ SHORTEST_RUN = 4
 BELOW_ZERO = 0.25
 #: of the largest volume: volumes down to minus that are noise about the flat membrane
 NOISE_OF_VOLUME = 0.01
+#: engineering strains beyond which no rubber goes: they are in per cent
+LARGEST_STRAIN = 20.0
 #: letters of a head of a column; longer lines are prose
 LONGEST_HEAD = 200
