@@ -51,7 +51,18 @@ _MORE_WORDS = {
     "strain": ("true", "logarithmic", "log", "hencky", "shear", "area", "green", "lagrange"),
     "stress": ("true", "cauchy", "shear", "kirchhoff"),
     "true stress": ("shear", "kirchhoff"),
-    "voltage": ("sensor", "output", "monitor", "transducer", "signal", "gauge", "pump", "control", "breakdown", "pressure"),
+    "voltage": (
+        "sensor",
+        "output",
+        "monitor",
+        "transducer",
+        "signal",
+        "gauge",
+        "pump",
+        "control",
+        "breakdown",
+        "pressure",
+    ),
     "height": ("initial", "chamber"),
 }
 _OTHER = {
@@ -137,7 +148,9 @@ def read_head(text: str) -> list[Head]:
             short = None
         if not (
             words
-            or (short and (size or (unit is None and not short[1]) or (quantity in ("stretch", "strain") and size == 0)))
+            or (
+                short and (size or (unit is None and not short[1]) or (quantity in ("stretch", "strain") and size == 0))
+            )
         ) or _OTHER[quantity].search(plain):
             continue
         if wrong is not None:

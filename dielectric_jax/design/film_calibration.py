@@ -282,7 +282,7 @@ def calibrate_film(
         raise ValueError(f"`mode` must be one of {', '.join(FILM_MODES)}, but is {mode!r}.")
     if start not in _STARTS:
         raise ValueError(f'`start` must be "fresh" or "relaxed", but is {start!r}.')
-    check_options(loss, level, 0.0, noise)
+    check_options(loss, level, noise)
     tests = _tests(time, stretch, stress)
     names = _sought(material, over, units is not None)
     kept = [_thinned(t, s) for t, s, _ in tests]

@@ -198,7 +198,11 @@ def _cells(path, lines: list[Line], table: Table) -> tuple[tuple[list[tuple[str,
         row += [""] * (max(table.places) + 1 - len(row))
         cells.append(tuple(bare(row[place]) for place in table.places))
         where.append(line.number)
-    said = f"Left out: {_lines_text([t.number for t in texts])}, text such as {shown(texts[0].text.strip())}." if texts else ""
+    said = (
+        f"Left out: {_lines_text([t.number for t in texts])}, text such as {shown(texts[0].text.strip())}."
+        if texts
+        else ""
+    )
     return (cells, where), [said] if texts else []
 
 
@@ -208,7 +212,11 @@ def _is_text(row: list[str], table: Table) -> bool:
     if any(NUMBER.fullmatch(c) or _is_missing(c) or re.search(r"\binf", c, re.IGNORECASE) for c in cells):
         # a sentence that is split at its blanks may hold a number; it begins with letters, and has too many cells
         words = sum(bool(re.fullmatch(r"[^\W\d_]{2,}[:,.]?", c)) for c in cells)
-        return "blanks" in table.separator and 2 * words > len(cells) > len(table.places) and not NUMBER.fullmatch(cells[0])
+        return (
+            "blanks" in table.separator
+            and 2 * words > len(cells) > len(table.places)
+            and not NUMBER.fullmatch(cells[0])
+        )
     return bool(cells) and not any(read_head(cell) for cell in cells)
 
 

@@ -27,9 +27,7 @@ class Kind:
 
 CURVES = Kind("a curve of volume and gauge pressure", (("volume", "pressure"), ("height", "pressure")), ("voltage",))
 _PAIRS = tuple(itertools.product(("stretch", "strain"), ("stress", "true stress")))
-FILMS = Kind(
-    "a test of time, stretch and nominal stress", (*(("time", *pair) for pair in _PAIRS), *_PAIRS)
-)
+FILMS = Kind("a test of time, stretch and nominal stress", (*(("time", *pair) for pair in _PAIRS), *_PAIRS))
 #: headings or positions of columns, in the order of the quantities or by their names
 Columns: typing.TypeAlias = Sequence[str | int] | Mapping[str, str | int]
 _COUNTS = {1: "one", 2: "two", 3: "three", 4: "four"}
@@ -265,7 +263,8 @@ def _no_columns(path, lines: list[Line], first: int, wanted: Wanted) -> str:
     head = next((line for line in reversed(lines[:first]) if not line.remark), None)
     advice = "name them and their units in the first line, or give `columns` and `column_units`"
     if head is None and any(
-        read_head(split(lines[first].text, s)[0]) and len(_numeric_row(lines[first].text, s)) > 2 for s in _SEPARATORS[:4]
+        read_head(split(lines[first].text, s)[0]) and len(_numeric_row(lines[first].text, s)) > 2
+        for s in _SEPARATORS[:4]
     ):
         return (
             f"`data` must have one point in each line, but line {lines[first].number} of {path} has a heading and then numbers; "
@@ -274,7 +273,9 @@ def _no_columns(path, lines: list[Line], first: int, wanted: Wanted) -> str:
     if head is None:
         return f"`data` must have columns named {wanted.text}, but {path} begins with numbers; {advice}."
     text = " ".join(head.text.split())[:120]
-    return f"`data` must have columns named {wanted.text}, but line {head.number} of {path} names {shown(text)}; {advice}."
+    return (
+        f"`data` must have columns named {wanted.text}, but line {head.number} of {path} names {shown(text)}; {advice}."
+    )
 
 
 def _ways(lines: list[Line], first: int) -> Iterator[tuple[str, int]]:

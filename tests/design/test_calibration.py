@@ -112,7 +112,10 @@ def test_outliers_hardly_move_a_robust_fit(exact):
     [
         ({"volume": [1.0, 2.0]}, "as long as the other"),
         ({"pressure": [1.0, -1.0, 1.0, 1.0]}, "`pressure` must be positive and finite, but is -1.0 at point 1"),
-        ({"over": ("stiffness",)}, "`over` must name some of stretch_limit, prestretch, but holds 'stiffness'"),
+        (
+            {"over": ("stiffness",)},
+            "`over` must name some of stretch_limit, prestretch, pressure_offset, but holds 'stiffness'",
+        ),
         ({"over": ()}, "one constant or more"),
         ({"volume": [0.001, 0.002, 0.003, 0.004]}, "must be that of an inflated film, but the largest is 0.004 A³"),
         ({"membrane": dj.Membrane(dj.Gent(1.5)), "over": ("prestretch",)}, "stretch_limit 1.5 it has states up to"),
@@ -233,7 +236,7 @@ def test_many_points_are_as_good_as_fewer_states(exact):
     """40 000 points between those of the curve: splines through 256 states, every point with its own noise."""
     random = np.random.default_rng(8)
     volume = np.geomspace(0.3, 60.0, 40_000)
-    curve = CurveModel(dj.Membrane(dj.Gent(120.0)), ("stretch_limit",), volume, 0.0, 1.0)
+    curve = CurveModel(dj.Membrane(dj.Gent(120.0)), ("stretch_limit",), volume, 0.0, {})
     curve.reachable_start()
     pressure = curve(curve.free_of({"stretch_limit": 120.0}))[0]
     at = np.searchsorted(volume, VOLUME)[1:-1]

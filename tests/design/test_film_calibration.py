@@ -207,7 +207,10 @@ def test_files(tmp_path, head, size, in_si):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("time,true strain,stress\n0,0,0\n1,1,1\n", "`data` must have columns named time, stretch and stress, but line 1"),
+        (
+            "time,true strain,stress\n0,0,0\n1,1,1\n",
+            "`data` must have columns named time, stretch and stress, but line 1",
+        ),
         ("time,stretch,stress\n0,1,0\n0,1,1\n", "`data` must hold rising times, but line 3 of .* has 0"),
         ("time,stretch,stress\n0,1,0\n1,-1,1\n", "`data` must hold stretches above zero, but line 3 of .* has -1"),
         ("time [kg],stretch,stress\n0,1,0\n1,1,1\n", "`data` must give the time in a unit such as s, ms, min, h"),

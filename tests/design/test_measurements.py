@@ -123,7 +123,10 @@ def test_the_same_curve_in_every_format(tmp_path, name):
         ("diameter [mm],pressure [kPa]\n" + rows(), r"line 1 .* names 'diameter \[mm\],pressure \[kPa\]'; name"),
         ("volume,pressure\n" + rows("{v} ml,{p} kPa"), "must name units once, above the numbers, but line 2 .* remove"),
         ("volume [ml],3.4,5.6,7\npressure [kPa],1,2,3\n", "one point in each line, but line 1 .* exchange lines"),
-        ("volume [ml],pressure [kPa],voltage\n" + rows("{v},{p},3"), "units of all columns or of none, .* none of the voltage"),
+        (
+            "volume [ml],pressure [kPa],voltage\n" + rows("{v},{p},3"),
+            "units of all columns or of none, .* none of the voltage",
+        ),
         ("volume [ml],pressure [kPa]\n" + rows() + "Mean,3.9\n", "line 27 .* has 'Mean' as its volume"),
         ("volume,p\n1,2\n", "columns named volume and pressure"),
         ("V,p\n1,2\n", "columns named volume and pressure"),
