@@ -37,6 +37,7 @@ from .resolution import (
 )
 
 __all__ = [
+    "COLORS",
     "Calibration",
     "Fit",
     "best_fit",
@@ -45,6 +46,7 @@ __all__ = [
     "check_intervals",
     "check_optimal",
     "check_options",
+    "constants_text",
     "finite_or_none",
     "intervals_of",
     "looks_absolute",
@@ -55,7 +57,7 @@ __all__ = [
 
 Curve: typing.TypeAlias = tuple[float, np.ndarray, np.ndarray]
 _LOSSES = ("linear", "huber", "soft_l1")
-_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
 _MAD = 0.6744897501960817  # median absolute deviation of the standard normal distribution
 
 
@@ -113,7 +115,7 @@ class Calibration:
             of_at = of_pressure = of_voltage = 1.0
             label = "Volume V / A³" if self.height is None else "Height h / A"
         one = len(self.curves) == 1
-        colors = [("#0072B2", "#D55E00")] if one else [(c, c) for c in _COLORS]
+        colors = [("#0072B2", "#D55E00")] if one else [(c, c) for c in COLORS]
         nearest = np.abs(self.voltage[:, None] - [voltage for voltage, *_ in self.curves]).argmin(1)
         lower.axhspan(-2, 2, color="0.9")
         lower.axhline(0.0, color="0.5", linewidth=0.8)
@@ -125,23 +127,18 @@ class Calibration:
             upper.plot(at[own] / of_at, self.pressure[own] / of_pressure, "o", color=dots, label=said, markersize=4)
             # drawn above the points, which would hide the curve
             upper.plot(
-                x / of_at, pressure / of_pressure, "-", color=line, label=self._constants_text() if one else None
+                x / of_at,
+                pressure / of_pressure,
+                "-",
+                color=line,
+                label=constants_text(self.parameters, self.units) if one else None,
             )
             lower.plot(at[own] / of_at, self.residuals[own] / max(self.noise, 1e-300), "o", color=dots, markersize=4)
         upper.set_ylabel("Pressure p A / (μH)" if self.units is None else "Pressure p / mbar")
-        upper.legend(title=None if one else self._constants_text())
+        upper.legend(title=None if one else constants_text(self.parameters, self.units))
         lower.set_ylabel("Residual / noise")
         lower.set_xlabel(label)
         return upper.figure
-
-    def _constants_text(self) -> str:
-        """The fitted constants, one on a line."""
-        text = []
-        for name, value in self.parameters.items():
-            unit = {"shear_modulus": (1e3, " kPa"), "pressure_offset": (100.0, " mbar")}.get(name, (1.0, ""))
-            size, unit = unit if self.units is not None else (1.0, "")
-            text.append(f"{name.replace('_', ' ')} {value / size:.4g}{unit}")
-        return "fit: " + ",\n".join(text)
 
     def to_json(self) -> dict:
         """Everything but the membrane and the curves as a JSON document, with null for numbers that are not finite."""
@@ -163,6 +160,16 @@ class Calibration:
             "residuals": self.residuals.tolist(),
             "warnings": list(self.warnings),
         }
+
+
+def constants_text(parameters: Mapping[str, float], units: Units | None) -> str:
+    """The fitted constants for a legend, one on a line."""
+    text = []
+    for name, value in parameters.items():
+        size, unit = {"shear_modulus": (1e3, " kPa"), "pressure_offset": (100.0, " mbar")}.get(name, (1.0, ""))
+        size, unit = (size, unit) if units is not None else (1.0, "")
+        text.append(f"{name.replace('_', ' ')} {value / size:.4g}{unit}")
+    return "fit: " + ",\n".join(text)
 
 
 def finite_or_none(value: typing.Any) -> typing.Any:
