@@ -136,7 +136,9 @@ class Calibration:
             lower.plot(at[own] / of_at, self.residuals[own] / max(self.noise, 1e-300), "o", color=dots, markersize=4)
         upper.set_ylabel("Pressure p A / (μH)" if self.units is None else "Pressure p / mbar")
         upper.legend(title=None if one else constants_text(self.parameters, self.units))
-        lower.set_ylabel("Residual / noise")
+        lower.set_ylabel(
+            "Residual / noise" if self.units is None else f"Residual /\nnoise {self.noise / of_pressure:.3g} mbar"
+        )
         lower.set_xlabel(label)
         return upper.figure
 
@@ -153,6 +155,7 @@ class Calibration:
             "level": self.level,
             "correlation": self.correlation.tolist(),
             "noise": self.noise,
+            "noise_unit": "μH/A" if self.units is None else "Pa",
             **at,
             "voltage": self.voltage.tolist(),
             "pressure": self.pressure.tolist(),

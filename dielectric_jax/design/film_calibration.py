@@ -119,7 +119,9 @@ class FilmCalibration:
             lower.plot(stretch, residual / max(self.noise, 1e-300), "o", color=color, markersize=4)
         upper.set_ylabel("Nominal stress s/μ" if self.units is None else "Nominal stress s / kPa")
         upper.legend(title=constants_text(self.parameters, self.units))
-        lower.set_ylabel("Residual / noise")
+        lower.set_ylabel(
+            "Residual / noise" if self.units is None else f"Residual /\nnoise {self.noise / scale:.3g} kPa"
+        )
         lower.set_xlabel("Stretch λ")
         return upper.figure
 
@@ -133,6 +135,7 @@ class FilmCalibration:
             "level": self.level,
             "correlation": self.correlation.tolist(),
             "noise": self.noise,
+            "noise_unit": "μ" if self.units is None else "Pa",
         }
         return finite_or_none(document | {"modes": list(self.modes)} | rows | {"warnings": list(self.warnings)})
 
