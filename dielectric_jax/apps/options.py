@@ -474,16 +474,21 @@ def _check(args: argparse.Namespace) -> None:
                 raise BadInput("--engine must be continuation with --modes, but is surface.")
             if args.modes[0] < 1:
                 raise BadInput(f"--modes must be whole numbers from 1, but begins at {args.modes[0]}.")
-    if args.command == "calibrate" and args.columns is not None and len(args.columns) < 2:
+    own = {"calibrate": _check_calibrate, "modes": _check_modes}.get(args.command)
+    if own is not None:
+        own(args)
+
+
+def _check_calibrate(args: argparse.Namespace) -> None:
+    if args.columns is not None and len(args.columns) < 2:
         raise BadInput("--columns must be 2 values, or more with names such as height=1 pressure=2, but is one.")
-    if args.command == "modes" and args.density is not None and not args.si:
+
+
+def _check_modes(args: argparse.Namespace) -> None:
+    if args.density is not None and not args.si:
         raise BadInput("--density must be given with --si only.")
-    if args.command == "modes" and args.points is not None:
+    if args.points is not None:
         raise BadInput("--points must be left out for modes, because a state has no branch.")
-    if args.command == "modes" and args.figure is not None:
-        raise BadInput("--figure must be left out for modes, which has no figure.")
-    if args.command == "equilibrium" and args.points is not None and args.figure is None:
-        raise BadInput("--points must be given with --figure only for equilibrium, because a state has no branch.")
 
 
 def _choose_units(args: argparse.Namespace) -> None:

@@ -107,9 +107,8 @@ class Calibration:
         if axes is None:
             _, axes = plt.subplots(2, 1, figsize=(5.5, 5.5), sharex=True, height_ratios=(3, 1), layout="constrained")
         upper, lower = axes
-        at, of_at, label = (
-            (self.volume, 1e-6, "Volume V / ml") if self.height is None else (self.height, 1e-3, "Height h / mm")
-        )
+        at = np.asarray(self.volume if self.height is None else self.height)
+        of_at, label = (1e-6, "Volume V / ml") if self.height is None else (1e-3, "Height h / mm")
         of_pressure, of_voltage = 100.0, 1e3
         if self.units is None:
             of_at = of_pressure = of_voltage = 1.0
@@ -137,7 +136,9 @@ class Calibration:
         upper.set_ylabel("Pressure p A / (μH)" if self.units is None else "Pressure p / mbar")
         upper.legend(title=None if one else constants_text(self.parameters, self.units))
         lower.set_ylabel(
-            "Residual / noise" if self.units is None else f"Residual /\nnoise {self.noise / of_pressure:.3g} mbar"
+            "Residual / noise"
+            if self.units is None
+            else f"Residual / noise\n(noise {self.noise / of_pressure:.3g} mbar)"
         )
         lower.set_xlabel(label)
         return upper.figure

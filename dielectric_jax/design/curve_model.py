@@ -20,7 +20,7 @@ from .free_parameters import APPARATUS, AbstractModel
 from .material_constants import as_arrays, check_membrane, constants_of, value_of, with_constants
 from .resolution import ACCURATE, DENSE, FARTHEST_START, FLATTEST, MODEL_SIZES, MODEL_STEPS, MOST_LOADS, NODES, ROUNDS
 
-__all__ = ["CurveModel", "equivalent_volume"]
+__all__ = ["CurveModel", "Nodes", "equivalent_volume"]
 
 
 def equivalent_volume(height):
@@ -31,7 +31,7 @@ def equivalent_volume(height):
 def _logs(above, material, prestretch, q, steps, against: str):
     """log V (or the log of the height, as `against` says) and log p at λa = λ0 + e^above, elementwise."""
     found = explicit_map(material, prestretch + jnp.exp(above), q, prestretch, steps, outputs=against == "height")
-    return jnp.stack([jnp.log(found[3][0] if against == "height" else found[1]), jnp.log(found[0])])
+    return jnp.stack([jnp.log(found[-1][0] if against == "height" else found[1]), jnp.log(found[0])])
 
 
 @functools.cache
@@ -109,7 +109,7 @@ def _model(names: tuple[str, ...], logs: tuple[bool, ...], against: str) -> Call
     return cached_jit(pressures_and_slopes)
 
 
-class _Nodes:
+class Nodes:
     """The states that are computed for points (log V, q_scale): the points themselves, or 256 nodes of a voltage with more of them.
 
     Between the nodes of a voltage quintic splines in log V interpolate.
@@ -157,7 +157,7 @@ class CurveModel(AbstractModel):
         super().__init__(names, {n: self._start_of(n) for n in names}, "pressure")
         self.against, x = against, np.log(at)
         self._q = np.broadcast_to(np.asarray(q_scale, float), at.shape)
-        self._nodes = _Nodes(x, self._q)
+        self._nodes = Nodes(x, self._q)
         # few loads stand for all of them: starting values at a near load are good enough
         loads = np.unique(self._q)
         if len(loads) > MOST_LOADS:
@@ -293,7 +293,7 @@ class CurveModel(AbstractModel):
         both = self._nodes.at_points(np.column_stack([pressure, jacobian]))
         return both[:, 0], both[:, 1:]
 
-    def _at(self, free, nodes: _Nodes, near: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    def _at(self, free, nodes: Nodes, near: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
         """Pressures, Jacobian and log(λa − λ0) at the nodes, in calls of one compiled program; None where one has no state."""
         values = self.values_of(free)
         if not all(np.isfinite(v) for v in values.values()) or not self.allows(values):
@@ -321,7 +321,7 @@ class CurveModel(AbstractModel):
             x = np.log(np.unique(np.concatenate([np.linspace(low, high, DENSE), np.geomspace(low, high, DENSE)])))
             order = np.argsort(own, kind="stable")
             near = np.interp(x, own[order], self._near[self._nearest == k][order])
-            found = self._at(free, _Nodes(x, np.full(len(x), load)), near)
+            found = self._at(free, Nodes(x, np.full(len(x), load)), near)
             if found is not None:
                 curves.append((load, np.exp(x), found[0]))
         return curves

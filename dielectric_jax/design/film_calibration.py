@@ -120,7 +120,7 @@ class FilmCalibration:
         upper.set_ylabel("Nominal stress s/μ" if self.units is None else "Nominal stress s / kPa")
         upper.legend(title=constants_text(self.parameters, self.units))
         lower.set_ylabel(
-            "Residual / noise" if self.units is None else f"Residual /\nnoise {self.noise / scale:.3g} kPa"
+            "Residual / noise" if self.units is None else f"Residual / noise\n(noise {self.noise / scale:.3g} kPa)"
         )
         lower.set_xlabel("Stretch λ")
         return upper.figure
@@ -449,7 +449,8 @@ def _sought(material, over, with_shear_modulus: bool) -> list[str]:
 
 def _tests(time, stretch, stress) -> list[tuple]:
     """The three columns of each test, checked."""
-    if time is None:  # the samples are numbered in place of times
+    numbered = time is None
+    if numbered:  # the samples are numbered in place of times
         time = [np.arange(len(s)) for s in stretch] if np.ndim(stretch[0]) else np.arange(len(stretch))
     given = {"time": time, "stretch": stretch, "stress": stress}
     many = {n: [np.asarray(v, float) for v in c] if np.ndim(c[0]) else [np.asarray(c, float)] for n, c in given.items()}
@@ -459,7 +460,7 @@ def _tests(time, stretch, stress) -> list[tuple]:
     tests = list(zip(*many.values(), strict=True))
     for k, test in enumerate(tests):
         where = f" in test {k}" if len(tests) > 1 else ""
-        for name, values in zip(given, test, strict=True):
+        for name, values in list(zip(given, test, strict=True))[numbered:]:
             if values.ndim != 1 or len(values) < 2 or values.shape != test[0].shape:
                 raise ValueError(
                     f"`{name}` must be one row of numbers, two or more, as long as the others, but has shape {values.shape}{where}."
