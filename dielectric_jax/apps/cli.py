@@ -253,7 +253,7 @@ def _run_calibrate(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[]
         for name in ("atmospheric_pressure", "voltage"):
             setattr(args, name, units.to_si(getattr(args, name), name))
     args.units, args.si = None, False
-    found, membrane, notices = fit_files(args, membrane, units)
+    found, membrane, notices = fit_files(dj, args, membrane, units)
     document = {"scene": dj.model.describe(membrane), **found.to_json(), "notices": notices}
     document |= {n: [option_names(v, args) for v in document[n]] for n in ("notices", "warnings")}
     if args.json is not None or args.figure is not None:

@@ -7,16 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..design import (
-    Calibration,
-    FilmCalibration,
-    FilmMeasurement,
-    Measurement,
-    calibrate,
-    calibrate_film,
-    read_film_measurement,
-    read_measurement,
-)
+from ..design import Calibration, FilmCalibration, FilmMeasurement, Measurement
 from ..model import Maxwell, Membrane, NeoHookean, Viscoelastic
 
 __all__ = ["fit_files", "notices_of"]
@@ -25,10 +16,10 @@ _FILM_COLUMNS = ("time", "stretch", "strain", "stress", "true stress")
 
 
 def fit_files(
-    args: argparse.Namespace, membrane: Membrane, units: Any
+    dj: Any, args: argparse.Namespace, membrane: Membrane, units: Any
 ) -> tuple[Calibration | FilmCalibration, Membrane, list[str]]:
     """The calibration from the files of the options, the membrane with its constants, and the notices about the files."""
-    tables = [_table(args, file) for file in args.data]
+    tables = [_table(dj, args, file) for file in args.data]
     for table, file in zip(tables, args.data, strict=True):
         if table.in_si and units is None:
             raise ValueError(f"--si must be given with a DATA.csv that names units, but is not with {file}.")
@@ -38,9 +29,9 @@ def fit_files(
     if curves and films:
         raise ValueError("`data` must be files of one kind, but are curves of pressures and tests of films.")
     if curves:
-        found = _fit_curves(args, curves, membrane, units)
+        found = _fit_curves(dj, args, curves, membrane, units)
         return found, found.membrane, notices
-    found = _fit_films(args, films, membrane, units)
+    found = _fit_films(dj, args, films, membrane, units)
     return found, Membrane(found.material, breakdown=membrane.breakdown), notices
 
 
@@ -60,7 +51,7 @@ def _columns(args: argparse.Namespace) -> Any:
     return named or list(args.columns)
 
 
-def _table(args: argparse.Namespace, file: str) -> Measurement | FilmMeasurement:
+def _table(dj: Any, args: argparse.Namespace, file: str) -> Measurement | FilmMeasurement:
     """The file as a test of a film if its columns are those of one, otherwise as a curve of pressures."""
     columns = _columns(args)
     read = {"columns": columns, "column_units": args.column_units, "branch": args.branch}
@@ -72,22 +63,24 @@ def _table(args: argparse.Namespace, file: str) -> Measurement | FilmMeasurement
                     f"`{name}` must be left out with --columns of pressures, but is {getattr(args, name)!r}; the columns of a "
                     "film are stretch=1 stress=2, for example."
                 )
-        return read_measurement(file, **read, atmospheric_pressure=args.atmospheric_pressure)
+        return dj.design.read_measurement(file, **read, atmospheric_pressure=args.atmospheric_pressure)
     asked = columns is not None or args.relaxation_times is not None or args.mode is not None
     try:
-        return read_film_measurement(file, **read)
+        return dj.design.read_film_measurement(file, **read)
     except ValueError as error:
         if asked:
             raise
         of_film = error
     try:
-        return read_measurement(file, **read, atmospheric_pressure=args.atmospheric_pressure)
+        return dj.design.read_measurement(file, **read, atmospheric_pressure=args.atmospheric_pressure)
     except ValueError as error:
         # the reason that concerns the columns which are there
         raise of_film if "have columns named" not in str(of_film) else error from None
 
 
-def _fit_curves(args: argparse.Namespace, tables: list[Measurement], membrane: Membrane, units: Any) -> Calibration:
+def _fit_curves(
+    dj: Any, args: argparse.Namespace, tables: list[Measurement], membrane: Membrane, units: Any
+) -> Calibration:
     if len({table.height is None for table in tables}) > 1:
         raise ValueError("`data` must be files of one kind, but some are of volumes and some of heights.")
     if len({table.in_si for table in tables}) > 1:
@@ -97,7 +90,7 @@ def _fit_curves(args: argparse.Namespace, tables: list[Measurement], membrane: M
     place = {"volume" if tables[0].height is None else "height": at}
     asked = {n: getattr(args, n) for n in ("over", "loss", "noise", "level")}
     pressure = np.concatenate([table.pressure for table in tables])
-    return calibrate(**place, pressure=pressure, membrane=membrane, units=units, voltage=voltage, **asked)
+    return dj.calibrate(**place, pressure=pressure, membrane=membrane, units=units, voltage=voltage, **asked)
 
 
 def _voltage(args: argparse.Namespace, k: int, table: Measurement) -> np.ndarray:
@@ -114,7 +107,7 @@ def _voltage(args: argparse.Namespace, k: int, table: Measurement) -> np.ndarray
 
 
 def _fit_films(
-    args: argparse.Namespace, tables: list[FilmMeasurement], membrane: Membrane, units: Any
+    dj: Any, args: argparse.Namespace, tables: list[FilmMeasurement], membrane: Membrane, units: Any
 ) -> FilmCalibration:
     without = {"atmospheric_pressure": None, "voltage": None, "prestretch": 1.0}
     for name in (name for name, value in without.items() if getattr(args, name) != value):
@@ -131,7 +124,7 @@ def _fit_films(
         raise ValueError("`relaxation_times` must be left out for a test without times, but is given.")
     modes = args.mode or ["uniaxial"]
     asked = {n: getattr(args, n) for n in ("over", "loss", "noise", "level")}
-    return calibrate_film(
+    return dj.design.calibrate_film(
         times or None,
         [table.stretch for table in tables],
         [table.stress for table in tables],

@@ -477,11 +477,15 @@ def _check(args: argparse.Namespace) -> None:
     own = {"calibrate": _check_calibrate, "modes": _check_modes}.get(args.command)
     if own is not None:
         own(args)
+    if args.command == "equilibrium" and args.points is not None and args.figure is None:
+        raise BadInput("--points must be given with --figure only for equilibrium, because a state has no branch.")
 
 
 def _check_calibrate(args: argparse.Namespace) -> None:
     if args.columns is not None and len(args.columns) < 2:
-        raise BadInput("--columns must be 2 values, or more with names such as height=1 pressure=2, but is one.")
+        raise BadInput(
+            f"--columns must be 2 values, or more with names such as height=1 pressure=2, but is {shown(args.columns[0])}."
+        )
 
 
 def _check_modes(args: argparse.Namespace) -> None:
@@ -489,6 +493,8 @@ def _check_modes(args: argparse.Namespace) -> None:
         raise BadInput("--density must be given with --si only.")
     if args.points is not None:
         raise BadInput("--points must be left out for modes, because a state has no branch.")
+    if args.figure is not None:
+        raise BadInput("--figure must be left out for modes, which has no figure.")
 
 
 def _choose_units(args: argparse.Namespace) -> None:
