@@ -161,7 +161,8 @@ class CurveModel(AbstractModel):
         # few loads stand for all of them: starting values at a near load are good enough
         loads = np.unique(self._q)
         if len(loads) > MOST_LOADS:
-            loads = np.linspace(loads[0], loads[-1], MOST_LOADS)
+            bins = np.digitize(self._q, np.linspace(loads[0], loads[-1], MOST_LOADS + 1)[1:-1])
+            loads = np.array([np.median(self._q[bins == k]) for k in np.unique(bins)])
         self._loads = [float(load) for load in loads]
         self._nearest = np.abs(self._nodes.q[:, None] - loads).argmin(1)
         self._largest = [np.exp(self._nodes.x[self._nearest == k].max(initial=-np.inf)) for k in range(len(loads))]

@@ -312,8 +312,8 @@ def calibrate_film(
     """Constants of a material from tests of films: the stretch and the nominal stress over the time, or without times.
 
     Minimises Σ ρ((s_i − s(t_i; θ))/σ) over θ as `calibrate` does, with the stresses of the film whose stretch passes the samples,
-    linearly between them (`rates.film_stress`). Without times the film is elastic, and the stress is s = dW(λ, λ^r)/dλ with r = −½,
-    1 or 0 in uniaxial tension, equal-biaxial tension and pure shear. The intervals are those of linearised least squares in log θ with Student's t.
+    linearly between them (`rates.film_stress`). Without times the film is elastic, and the stress is s = dW(λ, λ^r)/dλ with r = −½
+    or 0 in uniaxial tension and pure shear, and half of that with r = 1 in equal-biaxial tension. The intervals are those of linearised least squares in log θ with Student's t.
 
     Args:
         time: rising times (n,) of a test in the unit of the relaxation times, or a sequence of them, one for each test; None

@@ -157,7 +157,7 @@ FLATTEST = 1e-8
 LEAST_VOLUME = 5e-4
 #: numbers of volumes for which programs are compiled; the pressures of more points are interpolated between the last
 MODEL_SIZES = 32, 64, 128, 256
-#: voltages of a measurement for which the table of states is computed; of more, so many that are evenly spaced in Φ²
+#: voltages of a measurement for which the table of states is computed; more are put into so many bins, evenly in Φ²
 MOST_LOADS = 9
 #: points of the drawn curve, evenly in the volume, and as many evenly in its logarithm
 DENSE = 64
