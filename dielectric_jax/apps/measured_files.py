@@ -12,6 +12,7 @@ from ..model import Maxwell, Membrane, NeoHookean, Viscoelastic
 
 __all__ = ["fit_files", "notices_of"]
 
+_FILM_WORDS = ("stretch", "strain", "stress", "λ", "lambda", "σ", "ε")
 _FILM_COLUMNS = ("time", "stretch", "strain", "stress", "true stress")
 
 
@@ -75,7 +76,9 @@ def _table(dj: Any, args: argparse.Namespace, file: str) -> Measurement | FilmMe
         return dj.design.read_measurement(file, **read, atmospheric_pressure=args.atmospheric_pressure)
     except ValueError as error:
         # the reason that concerns the columns which are there
-        raise of_film if "have columns named" not in str(of_film) else error from None
+        named = str(of_film).partition(" names ")[2].lower()
+        about_film = "have columns named" not in str(of_film) or any(w in named for w in _FILM_WORDS)
+        raise of_film if about_film else error from None
 
 
 def _fit_curves(

@@ -16,7 +16,7 @@ _NAMES = {
         *("pressure", "press", "pres", "druck", "überdruck", "ueberdruck", "pression", "presión", "presion"),
         *("pressione", "pressão", "pressao", "tryck", "давление", "压力", "压强", "气压", "壓力", "圧力"),
     ),
-    "voltage": ("voltage", "spannung", "spänning", "voltaje", "напряжение", "电压", "電壓", "電圧"),
+    "voltage": ("voltage", "hv", "spannung", "spänning", "voltaje", "напряжение", "电压", "電壓", "電圧"),
     "time": ("time", "zeit", "temps", "tiempo", "tempo", "tid", "时间", "時間"),
     "stretch": ("stretch", "stretch ratio", "lambda", "streckung", "étirement", "拉伸比"),
     "strain": ("strain", "dehnung", "déformation", "deformación", "deformazione", "töjning", "应变", "ひずみ"),

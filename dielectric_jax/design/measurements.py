@@ -88,8 +88,8 @@ def read_measurement(
     voltage = np.abs(found["voltage"][keep]) if "voltage" in found else None
     if voltage is not None and np.any(voltage):
         low, high = (float(v) for v in (voltage.min(), voltage.max()))
-        unit = " V" if in_si else ""
-        said.append(f"The voltages are those of the column of voltages, {low:.6g} to {high:.6g}{unit}.")
+        span = f"{low:.6g}" if low == high else f"{low:.6g} to {high:.6g}"
+        said.append(f"The voltages are those of the column of voltages, {span}{' V' if in_si else ''}.")
     volume, height = (size[keep] if given == name else None for name in ("volume", "height"))
     return Measurement(volume, pressure[keep], in_si, where[keep], tuple(notices + said), height, voltage)
 
@@ -156,7 +156,7 @@ def _check_samples(path, where, time, stretch, strain) -> None:
     """Refuses times that do not rise, stretches that are none, and strains in per cent without their unit."""
     checks = [] if time is None else [(np.diff(time, prepend=-np.inf) <= 0, "rising times", time)]
     if strain is not None:
-        checks.append((strain > LARGEST_STRAIN, "strains of rubber, and %, where they are in per cent,", strain))
+        checks.append((strain > LARGEST_STRAIN, "strains of rubber (those in per cent need the unit %)", strain))
     for wrong, said, values in (*checks, (stretch <= 0, "stretches above zero", stretch)):
         if wrong.any():
             k = int(np.argmax(wrong))

@@ -273,9 +273,9 @@ def _no_columns(path, lines: list[Line], first: int, wanted: Wanted) -> str:
     if head is None:
         return f"`data` must have columns named {wanted.text}, but {path} begins with numbers; {advice}."
     text = " ".join(head.text.split())[:120]
-    return (
-        f"`data` must have columns named {wanted.text}, but line {head.number} of {path} names {shown(text)}; {advice}."
-    )
+    sigma = "; σ may be the nominal or the true stress" if wanted.kind is FILMS and "σ" in text else ""
+    said = f"but line {head.number} of {path} names {shown(text)}{sigma}"
+    return f"`data` must have columns named {wanted.text}, {said}; {advice}."
 
 
 def _ways(lines: list[Line], first: int) -> Iterator[tuple[str, int]]:

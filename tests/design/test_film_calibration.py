@@ -289,7 +289,11 @@ def test_files(tmp_path, head, size, in_si):
         ("time,stretch,stress\n0,1,0\n1,-1,1\n", "`data` must hold stretches above zero, but line 3 of .* has -1"),
         ("time [kg],stretch,stress\n0,1,0\n1,1,1\n", "`data` must give the time in a unit such as s, ms, min, h"),
         ("time,stretch,shear stress\n0,1,0\n1,1,1\n", "`data` must have columns named time, stretch and stress"),
-        ("strain,stress\n0,1\n300,2\n", "must hold strains of rubber, and %, where .* but line 3 of .* has 300"),
+        ("λ,σ [kPa]\n1,1\n3,2\n", "names 'λ,σ .*; σ may be the nominal or the true stress"),
+        (
+            "strain,stress\n0,1\n300,2\n",
+            r"must hold strains of rubber \(those in per cent need the unit %\), but line 3 of .* has 300",
+        ),
         ("time,stretch,stress\n0,1,0\n", "`data` must hold two samples or more"),
     ],
 )

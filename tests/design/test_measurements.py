@@ -203,7 +203,7 @@ def test_heights_and_voltages_are_read(tmp_path):
     assert found.volume is None and found.in_si
     np.testing.assert_allclose(found.height, VOLUME * 1e-3)
     np.testing.assert_allclose(found.voltage, 3000.0)
-    assert found.notices[0].endswith("where the height is zero or less.") and "3000 to 3000 V" in found.notices[1]
+    assert found.notices[0].endswith("where the height is zero or less.") and "of voltages, 3000 V." in found.notices[1]
     file.write_text("height [mm],volume [ml],p [kPa],V [kV]\n" + rows("1,{v},{p},{i}"))
     found = dj.design.read_measurement(file)
     assert found.height is None
