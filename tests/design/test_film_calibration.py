@@ -147,31 +147,31 @@ def test_what_does_not_fit_is_said():
         calibrate_film(time, stretch, 2 + np.sin(3 * time), over=["modulus_ratio"])
 
 
-# Ogden's constants of Treloar's rubber, in kPa, and the exponents of the transverse stretches
+# Ogden's three terms for Treloar's rubber, (kPa, exponent); by mode the exponent of λ in the third stretch, and the largest stretch
 TRELOAR = ((630.0, 1.3), (1.2, 5.0), (-10.0, -2.0))
-TREATED = {"uniaxial": (-0.5, 7.5), "equal_biaxial": (-2.0, 4.5), "pure_shear": (-1.0, 5.0)}
+TRANSVERSE = {"uniaxial": (-0.5, 7.5), "equal_biaxial": (-2.0, 4.5), "pure_shear": (-1.0, 5.0)}
 
 
-def test_an_elastic_film_in_three_modes(tmp_path, capsys):
+def test_an_elastic_film_in_three_modes():
     """Six constants of Ogden's closed form, exactly, and with noise within their intervals; one mode does not determine them."""
-    stretch = [np.linspace(1.05, most, 22) for _, most in TREATED.values()]
+    stretch = [np.linspace(1.05, most, 22) for _, most in TRANSVERSE.values()]
     exact = [
         1e3 * sum(mu * (s ** (a - 1) - s ** (r * a - 1)) for mu, a in TRELOAR)
-        for s, (r, _) in zip(stretch, TREATED.values(), strict=True)
+        for s, (r, _) in zip(stretch, TRANSVERSE.values(), strict=True)
     ]
-    true = {f"moduli[{k}]": mu / 400 for k, (mu, _) in enumerate(TRELOAR)}  # a term 2 μ_k/α_k² in another notation
-    true = {n: v for n, v in true.items()} | {f"exponents[{k}]": a for k, (_, a) in enumerate(TRELOAR)}
+    true = {f"moduli[{k}]": mu / 400 for k, (mu, _) in enumerate(TRELOAR)}
+    true |= {f"exponents[{k}]": a for k, (_, a) in enumerate(TRELOAR)}
     asked = {
         "material": dj.Ogden(moduli=(1.0, 0.01, -0.05), exponents=(1.5, 4.5, -1.5)),
         "over": ["moduli", "exponents"],
         "units": dj.Units(shear_modulus=400e3),
     }
-    found = calibrate_film(None, stretch, exact, mode=list(TREATED), **asked)
+    found = calibrate_film(None, stretch, exact, mode=list(TRANSVERSE), **asked)
     assert found.parameters == pytest.approx(true, rel=1e-8)
-    assert found.time == () and found.modes == tuple(TREATED) and found.to_json()["noise_unit"] == "Pa"
+    assert found.time == () and found.modes == tuple(TRANSVERSE) and found.to_json()["noise_unit"] == "Pa"
     random = np.random.default_rng(1)
     noisy = [s + 5e3 * random.normal(size=22) for s in exact]
-    found = calibrate_film(None, stretch, noisy, mode=list(TREATED), level=0.99, **asked)
+    found = calibrate_film(None, stretch, noisy, mode=list(TRANSVERSE), level=0.99, **asked)
     for name, value in true.items():
         low, high = found.intervals[name]
         assert low < value < high and high - low < 0.4 * abs(value)

@@ -201,14 +201,14 @@ def test_heights_and_voltages_are_read(tmp_path):
     file.write_text("Pole height (mm);pressure [kPa];U [kV];Sensor voltage [V]\n0;0;0;0\n" + rows("{v};{p};-3;1.2"))
     found = dj.design.read_measurement(file)
     assert found.volume is None and found.in_si
-    np.testing.assert_allclose(found.height, VOLUME * 1e-3)
-    np.testing.assert_allclose(found.voltage, 3000.0)
+    np.testing.assert_allclose(np.asarray(found.height), VOLUME * 1e-3)
+    np.testing.assert_allclose(np.asarray(found.voltage), 3000.0)
     assert found.notices[0].endswith("where the height is zero or less.") and "of voltages, 3000 V." in found.notices[1]
     file.write_text("height [mm],volume [ml],p [kPa],V [kV]\n" + rows("1,{v},{p},{i}"))
     found = dj.design.read_measurement(file)
     assert found.height is None
-    np.testing.assert_allclose(found.volume, VOLUME * 1e-6)
-    np.testing.assert_allclose(found.voltage, 1000.0 * np.arange(25))
+    np.testing.assert_allclose(np.asarray(found.volume), VOLUME * 1e-6)
+    np.testing.assert_allclose(np.asarray(found.voltage), 1000.0 * np.arange(25))
     found = dj.design.read_measurement(file, columns={"pressure": "p [kPa]", "height": "height [mm]"})
     assert found.volume is None and found.voltage is None
     np.testing.assert_allclose(found.pressure, PRESSURE * 1e3)
