@@ -247,61 +247,17 @@ def _run_optimise(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[],
     return found.to_json(), draw
 
 
-def _film_test(dj: Any, args: argparse.Namespace) -> Any:
-    """The test in time in a file, None where its columns are others."""
-    if args.columns is not None or args.column_units is not None:
-        return None
-    try:
-        return dj.design.read_film_measurement(args.data)
-    except ValueError:
-        if args.relaxation_times is not None or args.mode is not None:
-            raise
-        return None
-
-
-def _film_fit(dj: Any, args: argparse.Namespace, data: Any, units: Any, membrane: Any) -> Any:
-    """The calibration from a test in time."""
-    without = {"branch": None, "atmospheric_pressure": None, "voltage": 0.0, "prestretch": 1.0}
-    for name in (name for name, value in without.items() if getattr(args, name) != value):
-        raise ValueError(f"`{name}` must be left out for a test of time, stretch and stress, but is given.")
-    times = args.relaxation_times or [float(data.time[-1] - data.time[0]) / 20]
-    branches = [dj.Maxwell(dj.NeoHookean(), modulus_ratio=1.0, relaxation_time=time) for time in times]
-    asked = {n: getattr(args, n) for n in ("over", "loss", "noise", "level")}
-    return dj.design.calibrate_film(
-        data.time,
-        data.stretch,
-        data.stress,
-        material=dj.Viscoelastic(membrane.material, branches),
-        units=units,
-        mode=args.mode or "uniaxial",
-        **asked,
-    )
-
-
 def _run_calibrate(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[[], Any]]:
+    from .measured_files import fit_files
+
     units, membrane = args.units, _membrane(dj, args)
     # voltage, noise and atmospheric pressure of a measurement stay in the units of the pressures, like the document
-    outside, voltage = args.atmospheric_pressure, args.voltage
     if units is not None:
-        outside, voltage = units.to_si(outside, "atmospheric_pressure"), units.to_si(voltage, "voltage")
+        for name in ("atmospheric_pressure", "voltage"):
+            setattr(args, name, units.to_si(getattr(args, name), name))
     args.units, args.si = None, False
-    data = test = _film_test(dj, args)
-    if test is None:
-        for name in ("relaxation_times", "mode"):
-            if getattr(args, name) is not None:
-                raise ValueError(f"`{name}` must be left out with --columns, but is {getattr(args, name)!r}.")
-        read = {n: getattr(args, n) for n in ("columns", "column_units", "branch")}
-        data = dj.design.read_measurement(args.data, **read, atmospheric_pressure=outside)
-    if data.in_si and units is None:
-        raise ValueError(f"--si must be given with a DATA.csv that names units, but is not with {args.data}.")
-    if test is None:
-        asked = {n: getattr(args, n) for n in ("over", "loss", "noise", "level")}
-        found = dj.calibrate(data.volume, data.pressure, membrane=membrane, units=units, voltage=voltage, **asked)
-        membrane = found.membrane
-    else:
-        found = _film_fit(dj, args, data, units, membrane)
-        membrane = dj.Membrane(found.material, breakdown=membrane.breakdown)
-    document = {"scene": dj.model.describe(membrane), **found.to_json(), "notices": list(data.notices)}
+    found, membrane, notices = fit_files(dj, args, membrane, units)
+    document = {"scene": dj.model.describe(membrane), **found.to_json(), "notices": notices}
     document |= {n: [option_names(v, args) for v in document[n]] for n in ("notices", "warnings")}
     if args.json is not None or args.figure is not None:
         for sentence in (*document["notices"], *document["warnings"]):

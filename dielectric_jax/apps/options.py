@@ -339,15 +339,28 @@ def _add_sweep(commands) -> None:
     )
 
 
+_COLUMN_NAMES = ("volume", "height", "pressure", "voltage", "time", "stretch", "strain", "stress", "true stress")
+
+
+def _column(text: str) -> str | tuple[str, str]:
+    """A column by heading or position, or the quantity and the column of QUANTITY=COLUMN."""
+    name, sign, column = text.partition("=")
+    name = name.strip().lower().replace("_", " ")
+    return (name, column.strip()) if sign and name in _COLUMN_NAMES else text
+
+
 def _add_calibrate(commands, common: Parser) -> None:
     fit = commands.add_parser(
         "calibrate",
         parents=[common],
-        help="constants of a measured pressure–volume curve, or of a test in time",
+        help="constants from measured pressures, or from tests of films",
         description=_DESCRIPTION,
     )
-    columns = "columns volume and pressure, or time, stretch and stress of a viscoelastic film; --si if the first line has units"
-    fit.add_argument("data", metavar="DATA.csv", help=columns)
+    columns = (
+        "columns volume and pressure, or height and pressure, and voltage if there is one; or stretch and stress of a film, and "
+        "time of a viscoelastic one; --si if the first line has units; several files are fitted together"
+    )
+    fit.add_argument("data", nargs="+", metavar="DATA.csv", help=columns)
     fit.add_argument(
         "--relaxation-times",
         nargs="+",
@@ -357,13 +370,22 @@ def _add_calibrate(commands, common: Parser) -> None:
     )
     fit.add_argument(
         "--mode",
+        nargs="+",
         choices=["uniaxial", "equal_biaxial", "pure_shear"],
-        help="of a test in time: how the film is stretched (uniaxial)",
+        help="of a test of a film: how it is stretched, one for all files or for each (uniaxial)",
     )
-    fit.add_argument("--columns", nargs=2, metavar=("V", "P"), help="the two columns, by heading or position (by name)")
-    fit.add_argument("--column-units", nargs=2, metavar=("V", "P"), help="their units, such as ml kPa (from headings)")
     fit.add_argument(
-        "--branch", choices=["loading", "unloading", "all"], help="part used if the volume rises and falls (loading)"
+        "--columns",
+        nargs="+",
+        type=_column,
+        metavar="COLUMN",
+        help="columns of volume and pressure by heading or position, others as height=1 pressure=2 voltage=4 (by name)",
+    )
+    fit.add_argument("--column-units", nargs="+", metavar="UNIT", help="their units, such as ml kPa (from headings)")
+    fit.add_argument(
+        "--branch",
+        choices=["loading", "unloading", "all"],
+        help="part used if the volume or the stretch rises and falls (loading)",
     )
     fit.add_argument(
         "--atmospheric-pressure",
@@ -372,12 +394,19 @@ def _add_calibrate(commands, common: Parser) -> None:
         help="subtract it from absolute pressures (0)",
     )
     fit.add_argument(
-        "--voltage", type=_not_negative_of("voltage"), default=0.0, metavar="PHI", help="voltage of the measurement (0)"
+        "--voltage",
+        type=_not_negative_of("voltage"),
+        nargs="+",
+        metavar="PHI",
+        help="voltage of the measurement, one for all files or for each (from the column of voltages, or 0)",
     )
     fit.add_argument("--over", nargs="+", metavar="NAME", help="constants to fit (those of the material, and μ in SI)")
     fit.add_argument("--loss", choices=["linear", "huber", "soft_l1"], default="linear", help="of residuals (linear)")
     fit.add_argument(
-        "--noise", type=_positive_of("pressure"), metavar="P", help="standard deviation of a pressure (from residuals)"
+        "--noise",
+        type=_positive_of("pressure"),
+        metavar="P",
+        help="standard deviation of a pressure or stress (from residuals)",
     )
     fit.add_argument("--level", type=_share, default=0.95, metavar="P", help="level of the confidence intervals (0.95)")
 
@@ -501,21 +530,32 @@ def _check(args: argparse.Namespace) -> None:
                 raise BadInput("--engine must be continuation with --modes, but is surface.")
             if args.modes[0] < 1:
                 raise BadInput(f"--modes must be whole numbers from 1, but begins at {args.modes[0]}.")
-    _check_answer(args)
-
-
-def _check_answer(args: argparse.Namespace) -> None:
-    """Refuses kinds of answers that a command does not give."""
-    if args.command == "pressure-volume" and args.csv is not None and len(args.voltage or ()) > 1:
-        raise BadInput(f"--csv must be given with one --voltage, but {len(args.voltage)} are given.")
-    if args.command == "modes" and args.density is not None and not args.si:
-        raise BadInput("--density must be given with --si only.")
-    if args.command == "modes" and args.points is not None:
-        raise BadInput("--points must be left out for modes, because a state has no branch.")
-    if args.command == "modes" and args.figure is not None:
-        raise BadInput("--figure must be left out for modes, which has no figure.")
+    own = {"calibrate": _check_calibrate, "modes": _check_modes, "pressure-volume": _check_pressure_volume}
+    if args.command in own:
+        own[args.command](args)
     if args.command == "equilibrium" and args.points is not None and args.figure is None:
         raise BadInput("--points must be given with --figure only for equilibrium, because a state has no branch.")
+
+
+def _check_calibrate(args: argparse.Namespace) -> None:
+    if args.columns is not None and len(args.columns) < 2:
+        raise BadInput(
+            f"--columns must be 2 values, or more with names such as height=1 pressure=2, but is {shown(args.columns[0])}."
+        )
+
+
+def _check_pressure_volume(args: argparse.Namespace) -> None:
+    if args.csv is not None and len(args.voltage or ()) > 1:
+        raise BadInput(f"--csv must be given with one --voltage, but {len(args.voltage)} are given.")
+
+
+def _check_modes(args: argparse.Namespace) -> None:
+    if args.density is not None and not args.si:
+        raise BadInput("--density must be given with --si only.")
+    if args.points is not None:
+        raise BadInput("--points must be left out for modes, because a state has no branch.")
+    if args.figure is not None:
+        raise BadInput("--figure must be left out for modes, which has no figure.")
 
 
 def _choose_units(args: argparse.Namespace) -> None:
@@ -536,8 +576,9 @@ def _choose_units(args: argparse.Namespace) -> None:
 
 def _check_files(args: argparse.Namespace) -> None:
     """Refuses invalid file names and files that cannot be written."""
-    for name, said in (("specification", "SPEC.toml"), ("data", "DATA.csv")):
-        file = getattr(args, name, None)
+    files = [("SPEC.toml", getattr(args, "specification", None))]
+    files += [("DATA.csv", file) for file in getattr(args, "data", ())]
+    for said, file in files:
         if file is not None and not _can_be(file):
             raise BadInput(f"{said} must be the name of a file, but is {shown(file)}.")
     if getattr(args, "json", None) not in (None, "-"):

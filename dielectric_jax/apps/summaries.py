@@ -69,14 +69,28 @@ def summary(document: dict) -> str:
 
 
 def _fit_lines(document: dict) -> list[str]:
-    rows = [[name, value, *document["intervals"][name]] for name, value in document["parameters"].items()]
-    share = f"{100 * document['level']:g} %"
+    share, unit = f"{100 * document['level']:g} %", document["noise_unit"]
+    # the stated digits are those of a measurement
+    rows = [
+        [
+            name,
+            *("–" if v is None else f"{v:.6g}" for v in (value, *document["intervals"][name])),
+            _of_constant(name, unit),
+        ]
+        for name, value in document["parameters"].items()
+    ]
+    measured = "stress" if "stress" in document else "pressure"
     lines = [
         "",
-        text_table(["constant", "value", f"{share} from", "to"], rows),
-        f"noise: {number_text(document['noise'])}",
+        text_table(["constant", "value", f"{share} from", "to", ""], rows),
+        f"noise of one {measured}: {document['noise']:.4g} {unit}",
     ]
     return [*lines, *document.get("notices", ()), *(f"warning: {w}" for w in document["warnings"])]
+
+
+def _of_constant(name: str, unit: str) -> str:
+    """The unit of a fitted constant, empty if it has none."""
+    return unit if name == "pressure_offset" or (name == "shear_modulus" and unit == "Pa") else ""
 
 
 def _map_lines(document: dict, units: dict[str, str]) -> list[str]:

@@ -1,9 +1,10 @@
-"""Material constants from a measured pressure–volume curve, by least squares with exact Jacobians (`curve_model`)."""
+"""Material constants from measured pressures at volumes or pole heights, by least squares with exact Jacobians (`curve_model`)."""
 
 import dataclasses
+import functools
 import math
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import equinox as eqx
 import numpy as np
@@ -11,9 +12,9 @@ from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 from scipy.stats import t as student
 
-from ..model import ConstantBreakdown, Membrane, Units, VHBBreakdown, Viscoelastic
+from ..model import VACUUM_PERMITTIVITY, ConstantBreakdown, Membrane, Units, VHBBreakdown, Viscoelastic
 from ..numerics import check_positive
-from .curve_model import CurveModel
+from .curve_model import CurveModel, equivalent_volume
 from .free_parameters import AbstractModel
 from .material_constants import sought_constants
 from .measurements import runs_of
@@ -36,6 +37,7 @@ from .resolution import (
 )
 
 __all__ = [
+    "COLORS",
     "Calibration",
     "Fit",
     "best_fit",
@@ -44,6 +46,7 @@ __all__ = [
     "check_intervals",
     "check_optimal",
     "check_options",
+    "constants_text",
     "finite_or_none",
     "intervals_of",
     "looks_absolute",
@@ -52,7 +55,9 @@ __all__ = [
 ]
 
 
+Curve: typing.TypeAlias = tuple[float, np.ndarray, np.ndarray]
 _LOSSES = ("linear", "huber", "soft_l1")
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
 _MAD = 0.6744897501960817  # median absolute deviation of the standard normal distribution
 
 
@@ -61,10 +66,10 @@ class Calibration:
     """The constants that fit a measured pressure–volume curve best, and their uncertainty.
 
     `parameters` are the constants, `intervals` their confidence intervals at `level`, `correlation` (m, m) that of the
-    estimates in the order of `parameters`. `volume`, `pressure`, `fit` (n,) are the measurement and the model at its
-    volumes, in the units of the measurement; `residuals` = pressure − fit; `noise` is the estimated standard deviation of
-    one pressure; `membrane` is the membrane with the fitted constants, `units` the units with the fitted shear modulus.
-    `warnings` are sentences on what makes the constants doubtful, above all a misfit that is not noise.
+    estimates in the order of `parameters`. `volume` or `height` (the other is None), `voltage`, `pressure` and `fit` (n,) are the
+    measurement and the model at its points, in the units of the measurement (SI with `units`); `residuals` = pressure − fit;
+    `noise` is the estimated standard deviation of one pressure; `membrane` is the membrane with the fitted constants, `units` the units with the fitted shear
+    modulus and permittivity, and `model` computes `curves`. `warnings` are sentences on what makes the constants doubtful, above all a misfit that is not noise.
     """
 
     parameters: dict[str, float]
@@ -72,12 +77,20 @@ class Calibration:
     level: float
     correlation: np.ndarray
     noise: float
-    volume: np.ndarray
+    volume: np.ndarray | None
+    height: np.ndarray | None
+    voltage: np.ndarray
     pressure: np.ndarray
     fit: np.ndarray
     membrane: Membrane
     units: Units | None
+    model: Callable[[], tuple[Curve, ...]] = dataclasses.field(repr=False)
     warnings: tuple[str, ...] = ()
+
+    @functools.cached_property
+    def curves(self) -> tuple[Curve, ...]:
+        """The smooth model curves: (voltage, volumes or heights, pressures) for each voltage, or for nine of more."""
+        return self.model()
 
     @property
     def residuals(self) -> np.ndarray:
@@ -94,29 +107,48 @@ class Calibration:
         if axes is None:
             _, axes = plt.subplots(2, 1, figsize=(5.5, 5.5), sharex=True, height_ratios=(3, 1), layout="constrained")
         upper, lower = axes
-        scale = (lambda name: 1.0) if self.units is None else (lambda name: {"volume": 1e-6, "pressure": 100.0}[name])
-        order = np.argsort(self.volume)
-        volume = self.volume[order] / scale("volume")
-        upper.plot(volume, self.pressure[order] / scale("pressure"), "o", color="#0072B2", label="measured")
-        text = [f"{n.replace('_', ' ')} {v:.4g}" for n, v in self.parameters.items()]
-        if self.units is not None and "shear_modulus" in self.parameters:
-            place = list(self.parameters).index("shear_modulus")
-            text[place] = f"shear modulus {self.parameters['shear_modulus'] / 1e3:.4g} kPa"
-        upper.plot(volume, self.fit[order] / scale("pressure"), "-", color="#D55E00", label="fit: " + ", ".join(text))
-        upper.set_ylabel("Pressure p A / (μH)" if self.units is None else "Pressure p / mbar")
-        upper.legend()
+        at = np.asarray(self.volume if self.height is None else self.height)
+        of_at, label = (1e-6, "Volume V / ml") if self.height is None else (1e-3, "Height h / mm")
+        of_pressure, of_voltage = 100.0, 1e3
+        if self.units is None:
+            of_at = of_pressure = of_voltage = 1.0
+            label = "Volume V / A³" if self.height is None else "Height h / A"
+        one = len(self.curves) == 1
+        colors = [("#0072B2", "#D55E00")] if one else [(c, c) for c in COLORS]
+        nearest = np.abs(self.voltage[:, None] - [voltage for voltage, *_ in self.curves]).argmin(1)
         lower.axhspan(-2, 2, color="0.9")
         lower.axhline(0.0, color="0.5", linewidth=0.8)
-        lower.plot(volume, self.residuals[order] / max(self.noise, 1e-300), "o", color="#0072B2")
-        lower.set_ylabel("Residual / noise")
-        lower.set_xlabel("Volume V / A³" if self.units is None else "Volume V / ml")
+        for k, (voltage, x, pressure) in enumerate(self.curves):
+            own = np.flatnonzero(nearest == k)
+            dots, line = colors[k % len(colors)]
+            said = "measured" if one else f"{voltage / of_voltage:.4g}{' kV' if self.units is not None else ''}"
+            said = said if one or self.units is not None else f"Φ = {said}"
+            upper.plot(at[own] / of_at, self.pressure[own] / of_pressure, "o", color=dots, label=said, markersize=4)
+            # drawn above the points, which would hide the curve
+            upper.plot(
+                x / of_at,
+                pressure / of_pressure,
+                "-",
+                color=line,
+                label=constants_text(self.parameters, self.units) if one else None,
+            )
+            lower.plot(at[own] / of_at, self.residuals[own] / max(self.noise, 1e-300), "o", color=dots, markersize=4)
+        upper.set_ylabel("Pressure p A / (μH)" if self.units is None else "Pressure p / mbar")
+        upper.legend(title=None if one else constants_text(self.parameters, self.units))
+        lower.set_ylabel(
+            "Residual / noise"
+            if self.units is None
+            else f"Residual / noise\n(noise {self.noise / of_pressure:.3g} mbar)"
+        )
+        lower.set_xlabel(label)
         return upper.figure
 
     def to_json(self) -> dict:
-        """Everything but the membrane as a JSON document, with null for numbers that are not finite."""
+        """Everything but the membrane and the curves as a JSON document, with null for numbers that are not finite."""
         return finite_or_none(self._document())
 
     def _document(self) -> dict:
+        at = {n: v.tolist() for n, v in (("volume", self.volume), ("height", self.height)) if v is not None}
         return {
             "units": "dimensionless" if self.units is None else "SI",
             "parameters": self.parameters,
@@ -124,12 +156,24 @@ class Calibration:
             "level": self.level,
             "correlation": self.correlation.tolist(),
             "noise": self.noise,
-            "volume": self.volume.tolist(),
+            "noise_unit": "μH/A" if self.units is None else "Pa",
+            **at,
+            "voltage": self.voltage.tolist(),
             "pressure": self.pressure.tolist(),
             "fit": self.fit.tolist(),
             "residuals": self.residuals.tolist(),
             "warnings": list(self.warnings),
         }
+
+
+def constants_text(parameters: Mapping[str, float], units: Units | None) -> str:
+    """The fitted constants for a legend, one on a line."""
+    text = []
+    for name, value in parameters.items():
+        size, unit = {"shear_modulus": (1e3, " kPa"), "pressure_offset": (100.0, " mbar")}.get(name, (1.0, ""))
+        size, unit = (size, unit) if units is not None else (1.0, "")
+        text.append(f"{name.replace('_', ' ')} {value / size:.4g}{unit}")
+    return "fit: " + ",\n".join(text)
 
 
 def finite_or_none(value: typing.Any) -> typing.Any:
@@ -171,34 +215,38 @@ def _minimum(curve: AbstractModel, free: np.ndarray, pressure: np.ndarray, loss:
 
 
 def calibrate(
-    volume: ArrayLike,
-    pressure: ArrayLike,
+    volume: ArrayLike | None = None,
+    pressure: ArrayLike | None = None,
     *,
+    height: ArrayLike | None = None,
     membrane: Membrane | None = None,
     over: Sequence[str] | None = None,
     units: Units | None = None,
-    voltage: float = 0.0,
+    voltage: ArrayLike = 0.0,
     loss: str = "linear",
     noise: float | None = None,
     level: float = 0.95,
 ) -> Calibration:
-    """Constants of a membrane from its measured pressure–volume curve.
+    """Constants of a membrane from its measured pressure–volume curve, at one voltage or several, or from pressures at pole heights.
 
-    Minimises Σ ρ((p_i − p(V_i; θ))/σ) over θ, with ρ(x) = x²/2 ("linear"), Huber's function, or √(1 + x²) − 1 ("soft_l1");
+    Minimises Σ ρ((p_i − p(V_i, Φ_i; θ))/σ) over θ, with ρ(x) = x²/2 ("linear"), Huber's function, or √(1 + x²) − 1 ("soft_l1");
     the last two are robust against outliers. The intervals are those of linearised least squares in log θ (in θ itself for
     the prestretch and for constants of either sign) with Student's t; under a robust loss the covariance is that of an
     M-estimator. If the starting values do not reach the largest volume, positive constants are raised until they do.
 
     Args:
-        volume: measured volumes (n,) under the membrane.
+        volume: measured volumes (n,) under the membrane; None with heights.
         pressure: measured gauge pressures (n,).
+        height: measured heights (n,) of the pole above the rim, in place of the volumes.
         membrane: material, prestretch and the fixed constants; the constants to fit are starting values.
         over: names of the constants to fit: those of the material (`moduli` for a whole tuple, or `moduli[0]`),
-            "prestretch", and with `units` "shear_modulus". By default the shear modulus, if there are units, and every
+            "prestretch", "pressure_offset" (of a gauge that is not zeroed), and with `units` "shear_modulus", under voltage also
+            "relative_permittivity". By default the shear modulus, if there are units, and every
             elastic constant except exponents; without the shear modulus if it is the unit of the constants, as in
             MooneyRivlin.
-        units: if given, the measurement is in SI (m³, Pa, and `voltage` in V); its shear modulus is a starting value.
-        voltage: Φ during the measurement.
+        units: if given, the measurement is in SI (m³ or m, Pa, and `voltage` in V); its shear modulus and permittivity are starting
+            values.
+        voltage: Φ during the measurement: one number, or one for each point (n,).
         loss: "linear", "huber" or "soft_l1".
         noise: standard deviation of one pressure, if known; otherwise it is estimated from the residuals.
         level: level of the confidence intervals.
@@ -216,31 +264,36 @@ def calibrate(
     120.0
     """
     membrane = Membrane() if membrane is None else membrane
-    volume, pressure = _measured(volume, pressure)
     if isinstance(membrane.material, Viscoelastic):
         raise ValueError(
             "`membrane` must have an elastic material, because a curve without times says nothing about branches; fit the spring "
             f"{type(membrane.material.equilibrium).__name__} alone."
         )
-    names = sought_constants(membrane.material, over, units is not None)
-    check_options(loss, level, voltage, noise)
-    volume, pressure, warnings = _usable(volume, pressure, units)
-    if len(volume) <= len(names):
+    data = _measured(volume, height, pressure, voltage)
+    charged = ["relative_permittivity"] * bool(units is not None and data.voltage.any())
+    names = sought_constants(membrane.material, over, units is not None, ("prestretch", "pressure_offset", *charged))
+    check_options(loss, level, noise)
+    data, warnings = _usable(data, units)
+    if len(data.at) <= len(names):
         raise ValueError(
-            f"`volume` must hold more points than constants to fit, {len(names)}, but holds {len(volume)}."
+            f"`{data.given}` must hold more points than constants to fit, {len(names)}, but holds {len(data.at)}."
         )
-    # dimensionless volumes, pressures in the unit that "shear_modulus" multiplies, and q times the shear modulus
-    of_volume, of_pressure, q_scale = _scales(names, units, float(voltage))
-    shear = 1.0 if units is None else float(units.shear_modulus)
-    curve = CurveModel(membrane, names, volume / of_volume, q_scale, shear)
+    # dimensionless volumes, pressures in the unit that "shear_modulus" multiplies, and Φ² times the fixed constants of q
+    of_at, of_pressure, of_load = _scales(names, units, data.given)
+    start = {"shear_modulus": 1.0, "relative_permittivity": 1.0, "pressure_offset": 0.0}
+    if units is not None:
+        start |= {"shear_modulus": float(units.shear_modulus)}
+        start |= {"relative_permittivity": float(units.permittivity) / VACUUM_PERMITTIVITY}
+    curve = CurveModel(membrane, names, data.at / of_at, of_load * data.voltage**2, start, data.given)
     try:
-        fit = best_fit(curve, pressure / of_pressure, loss, None if noise is None else noise / of_pressure)
-        found = _result(curve, fit, level, volume, pressure, of_pressure, units)
-        warnings += check_intervals(found.intervals, found.parameters, level)
+        fit = best_fit(curve, data.pressure / of_pressure, loss, None if noise is None else noise / of_pressure)
+        found = _result(curve, fit, level, data, (of_at, of_pressure, of_load), units)
+        bounded = {n: pair for n, pair in found.intervals.items() if n != "pressure_offset"}  # it may well be zero
+        warnings += check_intervals(bounded, found.parameters, level)
         seek = "" if "prestretch" in names else "fit more constants, such as the prestretch, "
         warnings += misfit_warnings(
-            volume,
-            pressure,
+            data.order(),
+            data.pressure,
             found.fit,
             robust=loss != "linear",
             noise=noise,
@@ -248,14 +301,15 @@ def calibrate(
             advice=f"{seek}use another material, or check the units, the radius and the zero of the pressures.",
         )
     except ValueError as error:
-        if units is not None and looks_absolute(volume, pressure):
-            raise ValueError(_ABSOLUTE.format(low=float(pressure.min()), high=float(pressure.max()))) from error
+        if units is not None and looks_absolute(data.at, data.pressure):
+            low, high = float(data.pressure.min()), float(data.pressure.max())
+            raise ValueError(_ABSOLUTE.format(given=data.given, low=low, high=high)) from error
         raise
-    return dataclasses.replace(found, warnings=tuple(warnings + _doubtful(found)))
+    return dataclasses.replace(found, warnings=tuple(warnings + _doubtful(found, data)))
 
 
 _ABSOLUTE = (
-    "`pressure` must be a gauge pressure, but is {low:.6g} to {high:.6g} Pa from the smallest volume on, which looks "
+    "`pressure` must be a gauge pressure, but is {low:.6g} to {high:.6g} Pa from the smallest {given} on, which looks "
     "absolute, and no fit matches it; subtract the atmospheric pressure, about 101.3 kPa."
 )
 
@@ -306,27 +360,52 @@ def best_fit(curve: AbstractModel, pressure: np.ndarray, loss: str, noise: float
     return Fit(free, fit, jacobian, own, spread)
 
 
-def _result(curve: CurveModel, fit: Fit, level, volume, pressure, of_pressure: float, units) -> Calibration:
+def _result(
+    curve: CurveModel, fit: Fit, level, data: "_Data", scales: tuple[float, float, float], units
+) -> Calibration:
     """The constants with their intervals, and the membrane and units with these constants."""
+    of_pressure = scales[1]
     names, values = curve.names, curve.values_of(fit.free)
     intervals, correlation = intervals_of(curve, fit, level)
     membrane = curve.membrane_of(values)
-    if units is not None and "shear_modulus" in names:
+    if units is not None:
         before = units
-        units = eqx.tree_at(lambda u: u.shear_modulus, units, np.asarray(values["shear_modulus"]))
+        units = eqx.tree_at(
+            lambda u: (u.shear_modulus, u.permittivity),
+            units,
+            (
+                np.asarray(values.get("shear_modulus", units.shear_modulus)),
+                np.asarray(values["relative_permittivity"] * VACUUM_PERMITTIVITY)
+                if "relative_permittivity" in names
+                else units.permittivity,
+            ),
+        )
         membrane = Membrane(membrane.material, membrane.prestretch, _law_in(membrane.breakdown, before, units))
+    if "pressure_offset" in names:
+        values["pressure_offset"] *= of_pressure
+        low, high = intervals["pressure_offset"]
+        intervals["pressure_offset"] = low * of_pressure, high * of_pressure
     return Calibration(
         parameters=values,
         intervals=intervals,
         level=level,
         correlation=correlation,
         noise=fit.noise * of_pressure,
-        volume=volume,
-        pressure=pressure,
+        volume=data.at if data.given == "volume" else None,
+        height=data.at if data.given == "height" else None,
+        voltage=data.voltage,
+        pressure=data.pressure,
         fit=fit.pressure * of_pressure,
         membrane=membrane,
         units=units,
+        model=functools.partial(_curves, curve, fit.free, scales),
     )
+
+
+def _curves(curve: CurveModel, free: np.ndarray, scales: tuple[float, float, float]) -> tuple[Curve, ...]:
+    """Voltages, volumes and pressures of the model's smooth curves, in the units of the measurement."""
+    of_at, of_pressure, of_load = scales
+    return tuple((float(np.sqrt(q / of_load)), x * of_at, p * of_pressure) for q, x, p in curve.dense(free))
 
 
 def intervals_of(curve: AbstractModel, fit: Fit, level: float) -> tuple[dict[str, tuple[float, float]], np.ndarray]:
@@ -358,29 +437,30 @@ def _spread(residual, freedom: int, loss: str, scale: float, known: bool) -> flo
 def _law_in(law, before: Units, units: Units):
     """The breakdown law with the same field in V/m, in the new unit √(μ/ε)."""
     if isinstance(law, VHBBreakdown):
-        return VHBBreakdown(law.scale, units.shear_modulus, law.relative_permittivity)
+        known = units.permittivity == before.permittivity
+        relative = law.relative_permittivity if known else units.permittivity / VACUUM_PERMITTIVITY
+        return VHBBreakdown(law.scale, units.shear_modulus, relative)
     return units.reduce(before.to_si(law)) if isinstance(law, ConstantBreakdown) else law
 
 
-def _scales(names: Sequence[str], units: Units | None, voltage: float) -> tuple[float, float, float]:
-    """The units of the curve's volumes and pressures, and q times the shear modulus if that is fitted."""
+def _scales(names: Sequence[str], units: Units | None, given: str) -> tuple[float, float, float]:
+    """The units of the curve's volumes or heights and of its pressures, and the part of q/Φ² that is not fitted."""
     if units is None:
-        return 1.0, 1.0, voltage**2
-    of_volume = float(units.scale("volume"))
-    if "shear_modulus" in names:
-        return (
-            of_volume,
-            float(units.thickness / units.radius),
-            float(voltage**2 * units.permittivity / units.thickness**2),
-        )
-    return of_volume, float(units.scale("pressure")), float(voltage**2 / units.scale("voltage_squared"))
+        return 1.0, 1.0, 1.0
+    shear = 1.0 if "shear_modulus" in names else float(units.shear_modulus)
+    permittivity = VACUUM_PERMITTIVITY if "relative_permittivity" in names else float(units.permittivity)
+    of_at = float(units.scale("volume") if given == "volume" else units.radius)
+    of_pressure = float(units.thickness / units.radius) * shear
+    return of_at, of_pressure, permittivity / (float(units.thickness) ** 2 * shear)
 
 
-def _doubtful(found: Calibration) -> list[str]:
+def _doubtful(found: Calibration, data: "_Data") -> list[str]:
     """Further warnings about the constants."""
     said = []
-    if len(runs_of(found.volume)) > 1:
-        said.append("The volume rises and falls: loading and unloading are fitted together; use only one of them.")
+    if len({rises for *_, rises in runs_of(data.at)}) > 1:
+        said.append(
+            f"The {data.given} rises and falls: loading and unloading are fitted together; use only one of them."
+        )
     low, high = MODULI
     shear = found.parameters.get("shear_modulus", 0.5 * (low + high))
     if not low < shear < high:
@@ -390,54 +470,95 @@ def _doubtful(found: Calibration) -> list[str]:
     return said
 
 
-def check_options(loss: str, level: float, voltage: float, noise: float | None) -> None:
-    """Refuses an unknown loss, and a level, voltage or noise that is none."""
+def check_options(loss: str, level: float, noise: float | None) -> None:
+    """Refuses an unknown loss, and a level or noise that is none."""
     if loss not in _LOSSES:
         raise ValueError(f"`loss` must be one of {', '.join(_LOSSES)}, but is {loss!r}.")
     if not 0 < level < 1:
         raise ValueError(f"`level` must lie between 0 and 1, but is {level!r}.")
-    check_positive("voltage", float(voltage), zero=True)
     if noise is not None:
         check_positive("noise", float(noise))
 
 
-def _measured(volume, pressure) -> tuple[np.ndarray, np.ndarray]:
-    volume, pressure = np.asarray(volume, float), np.asarray(pressure, float)
-    for name, values in (("volume", volume), ("pressure", pressure)):
-        if values.ndim != 1 or values.shape != volume.shape or not values.size:
+@dataclasses.dataclass(frozen=True)
+class _Data:
+    """A measurement: `at` (n,) are volumes or heights, as `given` says, with the pressures and voltages (n,) there."""
+
+    given: str
+    at: np.ndarray
+    pressure: np.ndarray
+    voltage: np.ndarray
+
+    def order(self) -> np.ndarray:
+        """Numbers (n,) that put the points in the order of their voltages, and of the volumes at about one voltage."""
+        about = np.round(20 * self.voltage / max(float(self.voltage.max()), 1e-300))
+        return about + 0.5 * self.at / self.at.max()
+
+
+def _measured(volume, height, pressure, voltage) -> _Data:
+    if (volume is None) == (height is None) or pressure is None:
+        raise ValueError(
+            "`volume` or `height` must be given, and not both, with `pressure`, but given are "
+            + (
+                _and([n for n, v in (("volume", volume), ("height", height), ("pressure", pressure)) if v is not None])
+                or "none"
+            )
+            + "."
+        )
+    given = "volume" if height is None else "height"
+    at, pressure = np.asarray(volume if height is None else height, float), np.asarray(pressure, float)
+    for name, values in ((given, at), ("pressure", pressure)):
+        if values.ndim != 1 or values.shape != at.shape or not values.size:
             raise ValueError(
                 f"`{name}` must be one row of numbers, as long as the other, but has shape {values.shape}."
             )
         least = (
-            0.0 if name == "volume" else -BELOW_ZERO * max(np.max(values, initial=0.0, where=np.isfinite(values)), 0.0)
+            -BELOW_ZERO * max(np.max(values, initial=0.0, where=np.isfinite(values)), 0.0)
+            if name == "pressure"
+            else 0.0
         )
         good = np.isfinite(values) & ((values > 0) | (values > least))
         if not good.all():
             wrong = int(np.flatnonzero(~good)[0])
             raise ValueError(
                 f"`{name}` must be positive and finite, but is {float(values[wrong])!r} at point {wrong}."
-                + ("" if name == "volume" else f" (Down to −{100 * BELOW_ZERO:g} % of the largest counts as noise.)")
+                + (f" (Down to −{100 * BELOW_ZERO:g} % of the largest counts as noise.)" if name == "pressure" else "")
             )
-    return volume, pressure
+    return _Data(given, at, pressure, _voltages(voltage, at.shape))
 
 
-def _usable(volume, pressure, units: Units | None) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """The points whose volume is that of an inflated film, and a notice about the others."""
-    cube = 1.0 if units is None else float(units.scale("volume"))
-    unit = "" if units is None else f" of a film of radius {float(units.radius):.4g} m"
-    share = volume / cube
-    if not LEAST_LARGEST < share.max() < MOST_LARGEST:
+def _voltages(voltage, shape: tuple[int, ...]) -> np.ndarray:
+    """The voltage of every point."""
+    voltage = np.asarray(voltage, float)
+    if voltage.shape not in ((), shape):
         raise ValueError(
-            f"`volume` must be that of an inflated film, but the largest is {share.max():.3g} A³{unit}, where {LEAST_LARGEST} to "
-            f"{MOST_LARGEST:g} A³ are possible; check the unit of the volumes and the radius."
+            f"`voltage` must be one number, or one for each of the {shape[0]} points, but has shape {voltage.shape}."
         )
-    keep = share >= LEAST_VOLUME
+    for value in np.unique(voltage):
+        check_positive("voltage", float(value), zero=True)
+    return np.broadcast_to(voltage, shape)
+
+
+def _usable(data: _Data, units: Units | None) -> tuple[_Data, list[str]]:
+    """The points whose volume is that of an inflated film, and a notice about the others."""
+    unit = "" if units is None else f" of a film of radius {float(units.radius):.4g} m"
+    share = data.at / _scales((), units, data.given)[0]
+    inflation = share if data.given == "volume" else equivalent_volume(share)
+    if not LEAST_LARGEST < inflation.max() < MOST_LARGEST:
+        # a height is compared as the volume of a spherical cap
+        about = "" if data.given == "volume" else f", about {inflation.max():.3g} A³"
+        raise ValueError(
+            f"`{data.given}` must be that of an inflated film, but the largest is {share.max():.3g} {'A' if about else 'A³'}{about}{unit}, "
+            f"where {LEAST_LARGEST} to {MOST_LARGEST:g} A³ are possible; check the unit of the {data.given}s and the radius."
+        )
+    keep = inflation >= LEAST_VOLUME
     said = f"{np.sum(~keep)} points are left out whose volume is below {LEAST_VOLUME:g} A³, where the film is flat."
-    return volume[keep], pressure[keep], [] if keep.all() else [said]
+    kept = _Data(data.given, data.at[keep], data.pressure[keep], data.voltage[keep])
+    return kept, [] if keep.all() else [said]
 
 
 def _and(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+    return "".join(names) if len(names) < 2 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def plural(measured: str) -> str:
@@ -546,6 +667,7 @@ def misfit_warnings(
     offset = _offset(pressure, fit, misfit)
     if offset:
         advice = f"an offset of the {plural(measured)} of {offset:.4g}{unit} would explain it: is the gauge zeroed?"
+        advice += " (`over` may name pressure_offset.)" if measured == "pressure" else ""
     if misfit > np.sqrt(0.5) * np.std(pressure):
         raise ValueError(f"`{measured}` must be a curve that the material can follow, but {said}; {advice}")
     return [f"T{said[1:]}: the material does not follow the curve, and the intervals are too narrow; {advice}"]

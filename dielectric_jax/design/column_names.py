@@ -10,16 +10,22 @@ from .resolution import LONGEST_HEAD
 __all__ = ["Head", "is_absolute", "read_head"]
 
 _NAMES = {
-    "volume": ("volume", "vol", "volumen", "volym", "volumes", "体积", "容积", "體積", "体積"),
+    "volume": ("volume", "vol", "volumen", "volym", "volumes", "объем", "объём", "体积", "容积", "體積", "体積"),
+    "height": ("height", "deflection", "sag", "höhe", "hauteur", "altura", "altezza", "höjd", "高度", "高さ"),
     "pressure": (
         *("pressure", "press", "pres", "druck", "überdruck", "ueberdruck", "pression", "presión", "presion"),
-        *("pressione", "pressão", "pressao", "tryck", "压力", "压强", "气压", "壓力", "圧力"),
+        *("pressione", "pressão", "pressao", "tryck", "давление", "压力", "压强", "气压", "壓力", "圧力"),
     ),
+    "voltage": ("voltage", "hv", "spannung", "spänning", "voltaje", "напряжение", "电压", "電壓", "電圧"),
     "time": ("time", "zeit", "temps", "tiempo", "tempo", "tid", "时间", "時間"),
     "stretch": ("stretch", "stretch ratio", "lambda", "streckung", "étirement", "拉伸比"),
-    "stress": ("stress", "spannung", "contrainte", "tensión", "sforzo", "应力", "応力"),
+    "strain": ("strain", "dehnung", "déformation", "deformación", "deformazione", "töjning", "应变", "ひずみ"),
+    "stress": ("stress", "spannung", "contrainte", "tensión", "sforzo", "напряжение", "应力", "応力"),
+    "true stress": ("true stress", "cauchy stress", "true cauchy stress", "wahre spannung", "真应力"),
 }
-_SHORT = {"volume": "v", "pressure": "p", "time": "t", "stretch": "λ", "stress": "s"}
+_SHORT = {"volume": "v", "height": "h", "pressure": "p", "voltage": "[uvφ]", "time": "t", "stretch": "λ"}
+# σ is not among them: it may be either stress
+_SHORT |= {"strain": "[εe]", "stress": "s", "true stress": "(?!)"}
 # a column with one of these words is another quantity, although its heading names a volume or a pressure
 _OTHER_WORDS = (
     *(
@@ -39,13 +45,34 @@ _OTHER_WORDS = (
     ),
     *("atmospheric", "ambient", "barometric", "supply", "source", "initial", "temperature", "voltage", "time"),
 )
-# the stress on the deformed cross-section is another than the nominal one
+# further words that make a column another quantity: the stress on the deformed cross-section is another than the nominal one
+_MORE_WORDS = {
+    "stretch": ("rate",),
+    "strain": ("true", "logarithmic", "log", "hencky", "shear", "area", "green", "lagrange"),
+    "stress": ("true", "cauchy", "shear", "kirchhoff"),
+    "true stress": ("shear", "kirchhoff"),
+    "voltage": (
+        "sensor",
+        "output",
+        "monitor",
+        "transducer",
+        "signal",
+        "gauge",
+        "pump",
+        "control",
+        "breakdown",
+        "pressure",
+    ),
+    "height": ("initial", "chamber"),
+}
 _OTHER = {
     quantity: re.compile(
-        rf"(?<![a-z])({'|'.join(w for w in (*_OTHER_WORDS, 'true', 'cauchy') if w != quantity)})(?![a-z])"
+        rf"(?<![a-z])({'|'.join(w for w in (*_OTHER_WORDS, *_MORE_WORDS.get(quantity, ('true', 'cauchy'))) if w != quantity)})(?![a-z])"
     )
     for quantity in _NAMES
 }
+# a symbol that stands for several quantities says by its unit which one it is
+_SHORT_BY_UNIT = ("height", "voltage", "strain")
 _ABSOLUTE = re.compile(r"(?<![a-z])(abs|absolute)(?![a-z])")
 
 
@@ -99,11 +126,13 @@ def read_head(text: str) -> list[Head]:
     >>> read_head("Volume injected (mL)")
     [Head(quantity='volume', unit='mL', size=1e-06, rank=2, absolute=False)]
     >>> read_head("V [kV]"), read_head("Volume flow [ml/min]")
-    ([], [])
+    ([Head(quantity='voltage', unit='kV', size=1000.0, rank=1, absolute=False)], [])
     """
     found = []
     if len(text) > LONGEST_HEAD:
         return found
+    # full-width brackets and letters are those of a Chinese or Japanese keyboard
+    text = re.sub(r"[！-～]", lambda c: unicodedata.normalize("NFKC", c[0]), unicodedata.normalize("NFC", text))
     text = unicodedata.normalize("NFC", text.strip().lstrip("#%").strip().strip("\"'").strip())
     for quantity, names in _NAMES.items():
         try:
@@ -115,8 +144,13 @@ def read_head(text: str) -> list[Head]:
         plain = re.sub(r"[\s_.\-]+", " ", label.lower()).strip()
         words = [w for w in names if re.search(rf"(?<![a-zà-ÿ]){w}(?![a-zà-ÿ])" if w.isascii() else w, plain)]
         short = re.fullmatch(rf"(δ|d|delta )?\s*{_SHORT[quantity]}( ?(gauge|g|rel|abs|inj|injected|mem|film))?", plain)
+        if unit is None and quantity in _SHORT_BY_UNIT:
+            short = None
         if not (
-            words or (short and (size or (unit is None and not short[1]) or (quantity == "stretch" and size == 0)))
+            words
+            or (
+                short and (size or (unit is None and not short[1]) or (quantity in ("stretch", "strain") and size == 0))
+            )
         ) or _OTHER[quantity].search(plain):
             continue
         if wrong is not None:
@@ -125,4 +159,5 @@ def read_head(text: str) -> list[Head]:
         found.append(
             Head(quantity, unit, size, rank, quantity == "pressure" and (is_absolute(plain) or is_absolute(unit or "")))
         )
-    return found
+    # of the meanings of one name, such as the German Spannung, those that the unit allows
+    return [head for head in found if head.size is not None] or found

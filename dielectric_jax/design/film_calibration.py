@@ -1,4 +1,4 @@
-"""Constants of a viscoelastic material from tests of films in time: relaxation, loading and unloading."""
+"""Constants of a material from tests of films: relaxation and loops in time, or stresses at stretches of an elastic film."""
 
 import dataclasses
 import functools
@@ -15,6 +15,7 @@ from ..model import (
     FILM_MODES,
     AbstractMaterial,
     FilmState,
+    Gent,
     Maxwell,
     NeoHookean,
     Sampled,
@@ -25,10 +26,20 @@ from ..model import (
     spring_and_branches,
 )
 from ..numerics import cached_jit, shown
-from .calibration import Fit, best_fit, check_intervals, check_options, finite_or_none, intervals_of, misfit_warnings
+from .calibration import (
+    COLORS,
+    Fit,
+    best_fit,
+    check_intervals,
+    check_options,
+    constants_text,
+    finite_or_none,
+    intervals_of,
+    misfit_warnings,
+)
 from .free_parameters import AbstractModel
 from .material_constants import as_arrays, sought_constants, value_of, with_constants
-from .resolution import FARTHEST_START, FILM_TOLERANCE, MODEL_SIZES, MODULI, MOST_SAMPLES
+from .resolution import DENSE, FARTHEST_START, FILM_TOLERANCE, MODEL_SIZES, MODULI, MOST_SAMPLES
 
 __all__ = ["FilmCalibration", "calibrate_film"]
 
@@ -38,11 +49,12 @@ Rows: typing.TypeAlias = tuple[np.ndarray, ...]
 
 @dataclasses.dataclass(frozen=True)
 class FilmCalibration:
-    """The constants of a material that fit tests of films in time best, and their uncertainty.
+    """The constants of a material that fit tests of films best, and their uncertainty.
 
     `parameters` are the constants, `intervals` their confidence intervals at `level`, `correlation` (m, m) that of the estimates in
     the order of `parameters`. `time`, `stretch`, `stress` and `fit` hold an array for each test: the samples that were fitted and
-    the model at their times, in the units of the measurement. `noise` is the estimated standard deviation of one stress; `material`
+    the model at their times, in the units of the measurement. For an elastic film `time` is empty, and `curves` holds stretches and
+    stresses of a smooth model curve for each test. `modes` are the modes of the tests. `noise` is the estimated standard deviation of one stress; `material`
     has the fitted constants, `units` the fitted shear modulus. `warnings` are sentences on what makes the constants doubtful.
     """
 
@@ -55,6 +67,8 @@ class FilmCalibration:
     stretch: Rows
     stress: Rows
     fit: Rows
+    modes: tuple[str, ...]
+    curves: tuple[tuple[np.ndarray, np.ndarray], ...]
     material: AbstractMaterial
     units: Units | None
     warnings: tuple[str, ...] = ()
@@ -67,10 +81,13 @@ class FilmCalibration:
     def plot(self, *, axes: typing.Any = None) -> typing.Any:
         """Draws stresses and fits over the time and over the stretch; returns the figure.
 
-        `axes` are two axes to draw on; new ones when None.
+        Without times the stresses over the stretch, and the residuals in units of the noise. `axes` are two axes to draw on; new ones
+        when None.
         """
         import matplotlib.pyplot as plt
 
+        if not self.time:
+            return self._plot_elastic(axes)
         if axes is None:
             _, axes = plt.subplots(1, 2, figsize=(8.0, 3.6), sharey=True, layout="constrained")
         scale = 1.0 if self.units is None else 1e3
@@ -84,8 +101,32 @@ class FilmCalibration:
         axes[0].legend()
         return axes[0].figure
 
+    def _plot_elastic(self, axes: typing.Any) -> typing.Any:
+        """Stresses over the stretch, a color for each test, with the smooth curves; below, the residuals."""
+        import matplotlib.pyplot as plt
+
+        if axes is None:
+            _, axes = plt.subplots(2, 1, figsize=(5.5, 5.5), sharex=True, height_ratios=(3, 1), layout="constrained")
+        upper, lower = axes
+        scale = 1.0 if self.units is None else 1e3
+        lower.axhspan(-2, 2, color="0.9")
+        lower.axhline(0.0, color="0.5", linewidth=0.8)
+        rows = zip(self.modes, self.stretch, self.stress, self.residuals, self.curves, strict=True)
+        for k, (mode, stretch, stress, residual, curve) in enumerate(rows):
+            color = COLORS[k % len(COLORS)]
+            upper.plot(stretch, stress / scale, "o", color=color, label=mode.replace("_", " "), markersize=4)
+            upper.plot(curve[0], curve[1] / scale, "-", color=color)
+            lower.plot(stretch, residual / max(self.noise, 1e-300), "o", color=color, markersize=4)
+        upper.set_ylabel("Nominal stress s/μ" if self.units is None else "Nominal stress s / kPa")
+        upper.legend(title=constants_text(self.parameters, self.units))
+        lower.set_ylabel(
+            "Residual / noise" if self.units is None else f"Residual / noise\n(noise {self.noise / scale:.3g} kPa)"
+        )
+        lower.set_xlabel("Stretch λ")
+        return upper.figure
+
     def to_json(self) -> dict:
-        """Everything but the material as a JSON document, with null for numbers that are not finite."""
+        """Everything but the material and the curves as a JSON document, with null for numbers that are not finite."""
         rows = {n: [v.tolist() for v in getattr(self, n)] for n in ("time", "stretch", "stress", "fit", "residuals")}
         document = {
             "units": "dimensionless" if self.units is None else "SI",
@@ -94,8 +135,9 @@ class FilmCalibration:
             "level": self.level,
             "correlation": self.correlation.tolist(),
             "noise": self.noise,
+            "noise_unit": "μ" if self.units is None else "Pa",
         }
-        return finite_or_none(document | rows | {"warnings": list(self.warnings)})
+        return finite_or_none(document | {"modes": list(self.modes)} | rows | {"warnings": list(self.warnings)})
 
 
 @functools.cache
@@ -106,9 +148,12 @@ def _model(names: tuple[str, ...], logs: tuple[bool, ...], mode: str, start: str
         def model(free):
             values = {n: jnp.exp(f) if log else f for n, f, log in zip(names, free, logs, strict=True)}
             shear = values.pop("shear_modulus", jnp.ones(()))
-            film = film_of(
-                with_constants(material, values), Sampled(time, stretch), None, prescribed="stretch", mode=mode
-            )
+            own = with_constants(material, values)
+            if start == "elastic":
+                film = film_of(own, lambda s: s, None, prescribed="stretch", mode=mode)
+                stress = shear * jax.vmap(lambda s: film.stress(s, film.given_logs(s), ())[0])(stretch) / stretch
+                return stress, stress
+            film = film_of(own, Sampled(time, stretch), None, prescribed="stretch", mode=mode)
             first = film.given_logs(time[0])
             x = jnp.broadcast_to(first if start == "relaxed" else 0.0, (len(film.branches), 2))
             begin = FilmState(time[0], first, x)
@@ -124,16 +169,24 @@ def _model(names: tuple[str, ...], logs: tuple[bool, ...], mode: str, start: str
 
 
 class FilmModel(AbstractModel):
-    """The nominal stresses of a film in tests of given stretches, as a function of free parameters."""
+    """The nominal stresses of a film in tests of given stretches, as a function of free parameters.
+
+    `tests` are (times, stretches, mode); `start` is "fresh", "relaxed", or "elastic" for a film that does not know the time.
+    """
 
     def __init__(
-        self, material: AbstractMaterial, names: Sequence[str], tests: Sequence[tuple], shear: float, how: tuple
+        self, material: AbstractMaterial, names: Sequence[str], tests: Sequence[tuple], shear: float, start: str
     ):
         self.material = typing.cast(AbstractMaterial, as_arrays(material))
-        start = {n: shear if n == "shear_modulus" else value_of(self.material, n) for n in names}
-        self._tests, self._how = [(len(t), *_padded(t, s)) for t, s in tests], how
-        self._largest = max(float(s.max()) for _, s in tests)
-        super().__init__(names, start, "stress")
+        first = {n: shear if n == "shear_modulus" else value_of(self.material, n) for n in names}
+        self._tests, self._start = [(len(t), mode, *_padded(t, s)) for t, s, mode in tests], start
+        self._extremes = [(mode, float(v)) for _, s, mode in tests for v in (s.max(), s.min())]
+        super().__init__(names, first, "stress")
+
+    @property
+    def elastic(self) -> bool:
+        """Whether the film does not know the time."""
+        return self._start == "elastic"
 
     def material_of(self, values: dict) -> AbstractMaterial:
         """The material with these constants."""
@@ -149,11 +202,12 @@ class FilmModel(AbstractModel):
         return True
 
     def _reaches(self, values: dict) -> bool:
-        stretch = self._largest
         spring, branches = spring_and_branches(self.material_of(values))
-        logs = film_of(spring, lambda _: stretch, None, prescribed="stretch", mode=self._how[0]).given_logs(0.0)
-        l1, l2 = (float(v) for v in np.exp(logs))
-        return all(bool(s.admissible(l1, l2)) for s in (spring, *(b.material for b in branches)))
+        for mode, stretch in self._extremes:
+            l1, l2 = stretch, stretch ** FILM_MODES[mode].ratio
+            if not all(bool(s.admissible(l1, l2)) for s in (spring, *(b.material for b in branches))):
+                return False
+        return True
 
     def reachable_start(self) -> dict[str, float]:
         """Starting values with which no spring is beyond its limit: positive constants are raised until it is so."""
@@ -168,7 +222,7 @@ class FilmModel(AbstractModel):
                 return self.start | limits
             factor *= 2
         raise ValueError(
-            f"`material` must reach the largest measured stretch, {self._largest:.4g}, but a spring of it is at its limit before; "
+            f"`material` must reach the largest measured stretch, {max(s for _, s in self._extremes):.4g}, but a spring of it is at its limit before; "
             "also fit its limit, raise it, or check the stretches."
         )
 
@@ -188,14 +242,27 @@ class FilmModel(AbstractModel):
     def __call__(self, free) -> tuple[np.ndarray, np.ndarray]:
         values = self.values_of(free)
         if all(np.isfinite(v) for v in values.values()) and self.allows(values):
-            program = _model(self.names, self.logs, *self._how)
-            found = [program(np.asarray(free, float), self.material, *rows) for _, *rows in self._tests]
+            found = [self._at(free, mode, *rows) for _, mode, *rows in self._tests]
             parts = [[np.asarray(v)[:n] for v in pair] for (n, *_), pair in zip(self._tests, found, strict=True)]
             stress, jacobian = (np.concatenate(column) for column in zip(*parts, strict=True))
             if np.isfinite(stress).all() and np.isfinite(jacobian).all():
                 return stress, jacobian
         count = sum(n for n, *_ in self._tests)
         return np.full(count, np.nan), np.full((count, len(self.names)), np.nan)
+
+    def _at(self, free, mode: str, time: np.ndarray, stretch: np.ndarray) -> tuple:
+        program = _model(self.names, self.logs, mode, self._start)
+        return program(np.asarray(free, float), self.material, time, stretch)
+
+    def dense(self, free) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Stretches and stresses (k,) of a smooth curve for each test of an elastic film."""
+        curves = []
+        for count, mode, time, stretch in self._tests:
+            # in parts of a size for which there is a program
+            x = np.linspace(stretch[:count].min(), stretch[:count].max(), -(-2 * DENSE // len(time)) * len(time))
+            parts = [self._at(free, mode, time, part)[0] for part in x.reshape(-1, len(time))]
+            curves.append((x, np.concatenate([np.asarray(part) for part in parts])))
+        return curves
 
 
 def _check(module) -> None:
@@ -212,7 +279,7 @@ def _check(module) -> None:
 
 def _padded(time: np.ndarray, stretch: np.ndarray) -> Rows:
     """Samples up to a number for which programs are compiled: the last stretch is held on."""
-    size = next(s for s in MODEL_SIZES if s >= len(time))
+    size = next((s for s in MODEL_SIZES if s >= len(time)), 1 << (len(time) - 1).bit_length())
     more = time[-1] + (time[-1] - time[0]) / len(time) * np.arange(1, size - len(time) + 1)
     return np.concatenate([time, more]), np.concatenate([stretch, np.full(len(more), stretch[-1])])
 
@@ -229,36 +296,38 @@ def _thinned(time: np.ndarray, stretch: np.ndarray) -> np.ndarray:
 
 
 def calibrate_film(
-    time: typing.Any,
+    time: typing.Any | None,
     stretch: typing.Any,
     stress: typing.Any,
     *,
     material: AbstractMaterial | None = None,
     over: Sequence[str] | None = None,
     units: Units | None = None,
-    mode: str = "uniaxial",
+    mode: str | Sequence[str] = "uniaxial",
     start: str = "fresh",
     loss: str = "linear",
     noise: float | None = None,
     level: float = 0.95,
 ) -> FilmCalibration:
-    """Constants of a viscoelastic material from tests of films: the stretch and the nominal stress over the time.
+    """Constants of a material from tests of films: the stretch and the nominal stress over the time, or without times.
 
     Minimises Σ ρ((s_i − s(t_i; θ))/σ) over θ as `calibrate` does, with the stresses of the film whose stretch passes the samples,
-    linearly between them (`rates.film_stress`). The intervals are those of linearised least squares in log θ with Student's t.
+    linearly between them (`rates.film_stress`). Without times the film is elastic, and the stress is s = dW(λ, λ^r)/dλ with r = −½
+    or 0 in uniaxial tension and pure shear, and half of that with r = 1 in equal-biaxial tension. The intervals are those of linearised least squares in log θ with Student's t.
 
     Args:
-        time: rising times (n,) of a test in the unit of the relaxation times, or a sequence of them, one for each test.
+        time: rising times (n,) of a test in the unit of the relaxation times, or a sequence of them, one for each test; None
+            for an elastic film.
         stretch: λ1 at these times, likewise.
         stress: nominal stresses at these times, likewise: in units of μ, or with `units` in Pa.
         material: the kind of material and the fixed constants; the constants to fit are starting values. By default a neo-Hookean
-            spring beside one neo-Hookean branch.
+            spring beside one neo-Hookean branch, without times a Gent material.
         over: names of the constants to fit, such as "relaxation_time", with several branches
             "material.branches[0].relaxation_time"; with `units` also "shear_modulus", that of the equilibrium spring. By default all
             of them except exponents.
         units: if given, stresses are in Pa, and its shear modulus is a starting value.
-        mode: "uniaxial", "equal_biaxial" or "pure_shear".
-        start: "fresh" or "relaxed" at the first sample of each test.
+        mode: "uniaxial", "equal_biaxial" or "pure_shear", or a sequence of them, one for each test.
+        start: "fresh" or "relaxed" at the first sample of each test; with times only.
         loss: "linear", "huber" or "soft_l1".
         noise: standard deviation of one stress, if known; otherwise it is estimated from the residuals.
         level: level of the confidence intervals.
@@ -275,42 +344,75 @@ def calibrate_film(
     >>> found = calibrate_film(time, stretch, film_stress(rubber, time, stretch, mode="uniaxial"))
     >>> {name: round(value, 4) for name, value in found.parameters.items()}
     {'modulus_ratio': 2.0, 'relaxation_time': 5.0}
+
+    Two tests of an elastic film without times, of a Mooney–Rivlin material with c1 = 0.4 and c2 = 0.1:
+
+    >>> from dielectric_jax import MooneyRivlin
+    >>> a = np.linspace(1.1, 3.0, 9)
+    >>> uniaxial, biaxial = 2 * (a - a**-2) * (0.4 + 0.1 / a), 2 * (a - a**-5) * (0.4 + 0.1 * a**2)
+    >>> found = calibrate_film(
+    ...     None, [a, a], [uniaxial, biaxial], material=MooneyRivlin(), mode=["uniaxial", "equal_biaxial"]
+    ... )
+    >>> {name: round(value, 4) for name, value in found.parameters.items()}
+    {'c1': 0.4, 'c2': 0.1}
     """
+    elastic = time is None
     if material is None:
-        material = Viscoelastic(NeoHookean(), [Maxwell(NeoHookean(), modulus_ratio=1.0, relaxation_time=1.0)])
-    if mode not in FILM_MODES:
-        raise ValueError(f"`mode` must be one of {', '.join(FILM_MODES)}, but is {mode!r}.")
+        branches = [Maxwell(NeoHookean(), modulus_ratio=1.0, relaxation_time=1.0)]
+        material = Gent() if elastic else Viscoelastic(NeoHookean(), branches)
     if start not in _STARTS:
         raise ValueError(f'`start` must be "fresh" or "relaxed", but is {start!r}.')
-    check_options(loss, level, 0.0, noise)
-    tests = _tests(time, stretch, stress)
+    if elastic and (start != "fresh" or isinstance(material, Viscoelastic)):
+        name, given = ("start", repr(start)) if start != "fresh" else ("material", "viscoelastic")
+        raise ValueError(f"`time` must be given with a {name} that is {given}, but is None.")
+    check_options(loss, level, noise)
+    tests, modes = _tests(time, stretch, stress), _modes(mode, stretch)
     names = _sought(material, over, units is not None)
-    kept = [_thinned(t, s) for t, s, _ in tests]
-    tests = [tuple(column[k] for column in test) for test, k in zip(tests, kept, strict=True)]
+    if not elastic:
+        kept = [_thinned(t, s) for t, s, _ in tests]
+        tests = [tuple(column[k] for column in test) for test, k in zip(tests, kept, strict=True)]
     measured = np.concatenate([s for _, _, s in tests])
     if len(measured) <= len(names):
         raise ValueError(
-            f"`time` must hold more samples than constants to fit, {len(names)}, but holds {len(measured)}."
+            f"`{'stretch' if elastic else 'time'}` must hold more samples than constants to fit, {len(names)}, but holds {len(measured)}."
         )
     # the unit of stresses that "shear_modulus" multiplies
     of_stress = 1.0 if units is None or "shear_modulus" in names else float(units.shear_modulus)
     shear = 1.0 if units is None else float(units.shear_modulus)
-    model = FilmModel(material, names, [(t, s) for t, s, _ in tests], shear, (mode, start))
+    given = [(t, s, mode) for (t, s, _), mode in zip(tests, modes, strict=True)]
+    model = FilmModel(material, names, given, shear, "elastic" if elastic else start)
     fit = best_fit(model, measured / of_stress, loss, None if noise is None else noise / of_stress)
     found = _result(model, fit, level, tests, of_stress, units)
+    found = dataclasses.replace(found, modes=modes, time=() if elastic else found.time)
     advice = "measure for several relaxation times, and at rates that differ"
-    warnings = check_intervals(found.intervals, found.parameters, level, advice) + _doubtful(found.parameters, tests)
+    advice = "measure larger stretches, or another mode of deformation as well" if elastic else advice
+    warnings = check_intervals(found.intervals, found.parameters, level, advice) + _doubtful(found)
+    springs = "use another material" if elastic else "use more branches or other springs"
     warnings += misfit_warnings(
-        np.arange(len(measured)),
+        np.concatenate(
+            [2 * k + (s / s.max() if elastic else np.linspace(0, 1, len(s))) for k, (_, s, _) in enumerate(tests)]
+        ),
         measured,
         np.concatenate(found.fit),
         robust=loss != "linear",
         noise=noise,
         unit="" if units is None else " Pa",
-        advice="use more branches or other springs, or check the units, the cross-section and the start.",
+        advice=f"{springs}, or check the units, the cross-section and the start.",
         measured="stress",
     )
     return dataclasses.replace(found, warnings=tuple(warnings))
+
+
+def _modes(mode: str | Sequence[str], stretch) -> tuple[str, ...]:
+    """The mode of each test."""
+    count = len(stretch) if np.ndim(stretch[0]) else 1
+    modes = (mode,) * count if isinstance(mode, str) else tuple(mode)
+    if len(modes) != count:
+        raise ValueError(f"`mode` must be one for all tests, or one for each of the {count}, but holds {len(modes)}.")
+    for own in modes:
+        if own not in FILM_MODES:
+            raise ValueError(f"`mode` must be one of {', '.join(FILM_MODES)}, but is {own!r}.")
+    return modes
 
 
 def _result(model: FilmModel, fit: Fit, level: float, tests: list[tuple], of_stress: float, units) -> FilmCalibration:
@@ -331,6 +433,8 @@ def _result(model: FilmModel, fit: Fit, level: float, tests: list[tuple], of_str
         stretch=stretch,
         stress=stress,
         fit=tuple(np.split(fit.pressure * of_stress, ends)),
+        modes=(),
+        curves=tuple((x, s * of_stress) for x, s in model.dense(fit.free)) if model.elastic else (),
         material=model.material_of(values),
         units=units,
     )
@@ -345,6 +449,9 @@ def _sought(material, over, with_shear_modulus: bool) -> list[str]:
 
 def _tests(time, stretch, stress) -> list[tuple]:
     """The three columns of each test, checked."""
+    numbered = time is None
+    if numbered:  # the samples are numbered in place of times
+        time = [np.arange(len(s)) for s in stretch] if np.ndim(stretch[0]) else np.arange(len(stretch))
     given = {"time": time, "stretch": stretch, "stress": stress}
     many = {n: [np.asarray(v, float) for v in c] if np.ndim(c[0]) else [np.asarray(c, float)] for n, c in given.items()}
     if len({len(v) for v in many.values()}) > 1:
@@ -353,7 +460,7 @@ def _tests(time, stretch, stress) -> list[tuple]:
     tests = list(zip(*many.values(), strict=True))
     for k, test in enumerate(tests):
         where = f" in test {k}" if len(tests) > 1 else ""
-        for name, values in zip(given, test, strict=True):
+        for name, values in list(zip(given, test, strict=True))[numbered:]:
             if values.ndim != 1 or len(values) < 2 or values.shape != test[0].shape:
                 raise ValueError(
                     f"`{name}` must be one row of numbers, two or more, as long as the others, but has shape {values.shape}{where}."
@@ -373,10 +480,11 @@ def _tests(time, stretch, stress) -> list[tuple]:
     return tests
 
 
-def _doubtful(values: dict[str, float], tests: list[tuple]) -> list[str]:
+def _doubtful(found: FilmCalibration) -> list[str]:
     """Warnings about relaxation times that the tests do not see, and about a modulus that no elastomer has."""
-    longest = max(float(t[-1] - t[0]) for t, *_ in tests)
-    shortest = min(float(np.diff(t).min()) for t, *_ in tests)
+    values = found.parameters
+    longest = max((float(t[-1] - t[0]) for t in found.time), default=0.0)
+    shortest = min((float(np.diff(t).min()) for t in found.time), default=0.0)
     said = []
     for name, value in values.items():
         if name.endswith("relaxation_time") and value > longest:

@@ -5,7 +5,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-__all__ = ["AbstractModel"]
+__all__ = ["APPARATUS", "POSITIVE", "AbstractModel"]
+
+#: constants that are not the material's: those of the units, the membrane, and the gauge
+APPARATUS = ("shear_modulus", "relative_permittivity", "prestretch", "pressure_offset")
+#: those of them that are positive and fitted by their logarithm
+POSITIVE = ("shear_modulus", "relative_permittivity")
 
 
 class AbstractModel(abc.ABC):
@@ -23,12 +28,12 @@ class AbstractModel(abc.ABC):
 
     def __init__(self, names: Sequence[str], start: dict[str, float], measured: str):
         self.names, self.start, self.measured = tuple(names), start, measured
-        self.logs = tuple(n == "shear_modulus" or (v > 0 and self._is_positive(n)) for n, v in start.items())
+        self.logs = tuple(n in POSITIVE or (v > 0 and self._is_positive(n)) for n, v in start.items())
         self.lowest = np.array([self._lowest(n, log) for n, log in zip(names, self.logs, strict=True)])
 
     def _is_positive(self, name: str) -> bool:
         """Whether a negative value of the constant is refused."""
-        return name != "prestretch" and not self.allows({name: -max(abs(self.start[name]), 1e-3)})
+        return name not in APPARATUS and not self.allows({name: -max(abs(self.start[name]), 1e-3)})
 
     def _lowest(self, name: str, log: bool) -> float:
         """The lower limit of a free parameter."""

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..model import AbstractDielectric, Membrane
+from .free_parameters import APPARATUS
 
 __all__ = ["as_arrays", "check_membrane", "constants_of", "sought_constants", "value_of", "with_constants"]
 
@@ -47,7 +48,7 @@ def constants_of(material) -> dict[str, tuple[int, int | None]]:
         else:
             found += [([*words[:-1], f"{words[-1]}[{i}]"], (leaf, i)) for i in range(np.shape(value)[0])]
     # names that no material may use count as taken
-    last = [words[-1] for words, _ in found] + ["prestretch", "shear_modulus"]
+    last = [words[-1] for words, _ in found] + list(APPARATUS)
     return {w[-1] if last.count(w[-1]) == 1 else ".".join(["material", *w]): place for w, place in found}
 
 
@@ -88,13 +89,15 @@ def check_membrane(membrane: Membrane) -> None:
         ) from error
 
 
-def sought_constants(material, over: Sequence[str] | None, with_shear_modulus: bool) -> list[str]:
+def sought_constants(
+    material, over: Sequence[str] | None, with_shear_modulus: bool, others: Sequence[str] = ("prestretch",)
+) -> list[str]:
     """The constants to fit, by name: those of `over`, where a tuple's name stands for its entries, or the default ones.
 
-    Raises ValueError for unknown names, and for constants together with the shear modulus if it is their unit.
+    `others` are constants of the membrane, the units and the gauge that `over` may name. Raises ValueError for unknown names, and for constants together with the shear modulus if it is their unit.
     """
     own = list(constants_of(material))
-    allowed = [*own, "prestretch", *["shear_modulus"] * with_shear_modulus]
+    allowed = [*own, *others, *["shear_modulus"] * with_shear_modulus]
     if over is None:
         # the permittivity matters only with a voltage, and hardly then; exponents are correlated with their moduli
         elastic = getattr(material, "elastic", None) if isinstance(material, AbstractDielectric) else None
@@ -111,7 +114,7 @@ def sought_constants(material, over: Sequence[str] | None, with_shear_modulus: b
     if not names or len(set(names)) < len(names):
         raise ValueError(f"`over` must name one constant or more, each once, but is {names!r}.")
     if "shear_modulus" in names and _scale_with(material, [n for n in names if n in own]):
-        joined = ", ".join(n for n in names if n != "prestretch")
+        joined = ", ".join(n for n in names if n == "shear_modulus" or n not in APPARATUS)
         raise ValueError(
             f"`over` must name constants that the curve can separate, but of {joined} the shear modulus is the unit of the "
             "others: twice the modulus with half of the others is the same film; leave one of them out."

@@ -1,4 +1,4 @@
-"""Measured pressure–volume curves from files."""
+"""Measured curves of pressure against volume or height, and tests of films, from files."""
 
 import dataclasses
 import pathlib
@@ -8,29 +8,34 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ..numerics import shown
-from .resolution import BELOW_ZERO, NOISE_OF_VOLUME, SHORTEST_RUN, TURN
-from .text_tables import FILM_QUANTITIES, NUMBER, Line, Table, bare, full, split, table_of
+from .column_names import read_head
+from .resolution import BELOW_ZERO, LARGEST_STRAIN, NOISE_OF_VOLUME, SHORTEST_RUN, TURN
+from .text_tables import CURVES, FILMS, NUMBER, Columns, Line, Table, bare, full, split, table_of
 
 __all__ = ["BRANCHES", "FilmMeasurement", "Measurement", "read_film_measurement", "read_measurement", "runs_of"]
 
 BRANCHES = ("loading", "unloading", "all")
 
 _MISSING = {"", "-", "--", "?", "na", "n/a", "nan", "null", "none", "nil", "#n/a", "#value!", "#div/0!", "missing", "."}
+_MISSING |= {"ol", "overload", "overrange"}  # a gauge beyond its range
 
 
 @dataclasses.dataclass(frozen=True)
 class Measurement:
-    """Volumes and pressures (n,) of a file, in the order of its lines, and notices about what was left out.
+    """Volumes or pole heights, and pressures (n,) of a file, in the order of its lines, and notices about what was left out.
 
-    Iterating gives `volume`, `pressure`, `in_si`: whether the file names units, so that the numbers are in m³ and Pa.
-    `lines` (n,) are the points' lines in the file; `notices` are sentences on what was left out or assumed.
+    Iterating gives `volume`, `pressure`, `in_si`: whether the file names units, so that the numbers are in SI (m³, m, Pa, V).
+    `lines` (n,) are the points' lines in the file; `notices` are sentences on what was left out or assumed. `volume` is None in a
+    file of heights, `height` in one of volumes, and `voltage` (n,) where no column names it.
     """
 
-    volume: np.ndarray
+    volume: np.ndarray | None
     pressure: np.ndarray
     in_si: bool
     lines: np.ndarray
     notices: tuple[str, ...]
+    height: np.ndarray | None = None
+    voltage: np.ndarray | None = None
 
     def __iter__(self) -> Iterator:
         return iter((self.volume, self.pressure, self.in_si))
@@ -39,21 +44,23 @@ class Measurement:
 def read_measurement(
     file: str | pathlib.Path,
     *,
-    columns: Sequence[str | int] | None = None,
+    columns: Columns | None = None,
     column_units: Sequence[str] | None = None,
     branch: str | None = None,
     atmospheric_pressure: float | None = None,
 ) -> Measurement:
-    """Volumes and pressures of a text file, and whether it names units, in which case they are converted to SI.
+    """Volumes or pole heights, pressures and voltages of a text file, converted to SI where it names units.
 
     A line above the numbers names the columns: `volume,pressure`, or with units `volume [ml],pressure [mbar]`; it may be a
     remark, and units may be in the next line. Columns are separated by commas, semicolons, tabs, bars or blanks; decimal
     commas are accepted if the file is unambiguous. Other columns, remarks (`#`, `%`, `//`) and lines that lack one of the two
-    numbers are left out, and so are points at zero volume. See docs/calibration.md.
+    numbers are left out, and so are points at zero volume. A column of heights, `height [mm]`, is read where there is no volume,
+    and a column of voltages, `voltage [kV]`, beside them. See docs/calibration.md.
 
     Args:
         file: path of the file.
-        columns: the columns of volume and pressure, by their full headings or their positions (1 is the first).
+        columns: the columns of volume and pressure, by their full headings or their positions (1 is the first); those of other
+            quantities by name, {"height": 1, "pressure": 2, "voltage": 4}. Only these are read.
         column_units: their units, such as ("ml", "kPa"), if the file does not name them.
         atmospheric_pressure: subtracted from absolute pressures; in Pa if there are units.
         branch: "loading" or "unloading" if the volume rises and falls, or "all"; by default loading.
@@ -62,38 +69,40 @@ def read_measurement(
         ValueError: for a file without such columns, or with an entry that is not a number, with its line.
     """
     path = pathlib.Path(file)
-    if branch is not None and branch not in BRANCHES:
-        raise ValueError(f"`branch` must be one of {', '.join(BRANCHES)}, but is {shown(branch)}.")
-    for name, given in (("columns", columns), ("column_units", column_units)):
-        if given is not None and len(given) != 2:
-            raise ValueError(f"`{name}` must be two, of volume and of pressure, but are {shown(list(given))}.")
-    lines, table, notices = table_of(path, columns, column_units)
-    cells = _cells(path, lines[table.first :], table)
-    values, where, left = _numbers(path, cells, table.quantities)
-    notices += left
-    volume, pressure = values * np.array([h.size or 1.0 for h in table.heads])[:, None]
+    _check_branch(branch)
+    table, found, where, notices = _columns_of(path, columns, column_units, CURVES)
+    given = "volume" if "volume" in found else "height"
+    size, pressure = found[given], found["pressure"]
     in_si = bool(table.heads[0].size)
-    if table.heads[1].absolute and atmospheric_pressure is None:
+    absolute = any(head.absolute for head in table.heads)
+    if absolute and atmospheric_pressure is None:
         raise ValueError(
             f"`data` must hold gauge pressures, but {path} names absolute ones; give `atmospheric_pressure` to subtract it."
         )
     pressure = pressure - (atmospheric_pressure or 0.0)
-    keep, said = _positive(path, volume, pressure, where)
+    positive, said = _positive(path, given, size, pressure, where)
     notices += said
-    volume, pressure, where = volume[keep], pressure[keep], where[keep]
-    keep, said = _on_branch(volume, where, branch)
-    return Measurement(volume[keep], pressure[keep], in_si, where[keep], tuple(notices + said))
+    keep = np.flatnonzero(positive)
+    on_branch, said = _on_branch(given, size[keep], where[keep], branch)
+    keep = keep[on_branch]
+    voltage = np.abs(found["voltage"][keep]) if "voltage" in found else None
+    if voltage is not None and np.any(voltage):
+        low, high = (float(v) for v in (voltage.min(), voltage.max()))
+        span = f"{low:.6g}" if low == high else f"{low:.6g} to {high:.6g}"
+        said.append(f"The voltages are those of the column of voltages, {span}{' V' if in_si else ''}.")
+    volume, height = (size[keep] if given == name else None for name in ("volume", "height"))
+    return Measurement(volume, pressure[keep], in_si, where[keep], tuple(notices + said), height, voltage)
 
 
 @dataclasses.dataclass(frozen=True)
 class FilmMeasurement:
     """Times, stretches and nominal stresses (n,) of a film's test, in the order of the lines, and notices about what was left out.
 
-    Times are in seconds where the file names their unit; stresses are in Pa, `in_si`, where it names theirs. `lines` (n,) are the
-    samples' lines in the file.
+    `time` is None in a file without times. Times are in seconds where the file names their unit; stresses are in Pa, `in_si`, where
+    it names theirs. `lines` (n,) are the samples' lines in the file.
     """
 
-    time: np.ndarray
+    time: np.ndarray | None
     stretch: np.ndarray
     stress: np.ndarray
     in_si: bool
@@ -104,49 +113,83 @@ class FilmMeasurement:
 def read_film_measurement(
     file: str | pathlib.Path,
     *,
-    columns: Sequence[str | int] | None = None,
+    columns: Columns | None = None,
     column_units: Sequence[str] | None = None,
+    branch: str | None = None,
 ) -> FilmMeasurement:
     """Times, stretches and nominal stresses of a text file: `time [s],stretch,stress [kPa]`, or without units.
 
-    What is accepted is what `read_measurement` accepts.
+    What is accepted is what `read_measurement` accepts. The column of times may be missing: the test is then one of an elastic film.
+    A column `strain`, of engineering strains ε (also in %), gives the stretches 1 + ε; a column `true stress` the nominal stresses
+    σ/λ.
 
     Args:
         file: path of the file.
-        columns: the columns of time, stretch and stress, by their full headings or their positions (1 is the first).
+        columns: the columns of time, stretch and stress, by their full headings or their positions (1 is the first); those of other
+            quantities by name, {"strain": 3, "stress": 4}. Only these are read.
         column_units: their units, such as ("s", "-", "kPa"), if the file does not name them.
+        branch: "loading" or "unloading" if the stretches of a test without times rise and fall, or "all"; by default loading.
 
     Raises:
         ValueError: for a file without such columns, with an entry that is not a number, or with times that do not rise, with its
             line.
     """
     path = pathlib.Path(file)
-    for name, given in (("columns", columns), ("column_units", column_units)):
-        if given is not None and len(given) != 3:
-            raise ValueError(f"`{name}` must be three, of time, stretch and stress, but are {shown(list(given))}.")
-    lines, table, notices = table_of(path, columns, column_units, FILM_QUANTITIES)
-    values, where, left = _numbers(path, _cells(path, lines[table.first :], table), table.quantities)
-    if values.shape[1] < 2:
-        raise ValueError(f"`data` must hold two samples or more, but {path} holds {values.shape[1]}.")
-    time, stretch, stress = values * np.array([h.size or 1.0 for h in table.heads])[:, None]
-    for wrong, said in ((np.diff(time, prepend=-np.inf) <= 0, "rising times"), (stretch <= 0, "stretches above zero")):
+    _check_branch(branch)
+    table, found, where, notices = _columns_of(path, columns, column_units, FILMS)
+    if len(where) < 2:
+        raise ValueError(f"`data` must hold two samples or more, but {path} holds {len(where)}.")
+    time, in_si = found.get("time"), bool(table.heads[-1].size)
+    strain = found.get("strain")
+    stretch = found["stretch"] if strain is None else 1 + strain
+    _check_samples(path, where, time, stretch, strain)
+    stress = found["stress"] if "stress" in found else found["true stress"] / stretch
+    if time is not None:
+        if branch is not None:
+            raise ValueError(f"`branch` must be left out for a test with times, but is {shown(branch)}.")
+        return FilmMeasurement(time, stretch, stress, in_si, where, tuple(notices))
+    keep, said = _on_branch("stretch", stretch, where, branch)
+    return FilmMeasurement(None, stretch[keep], stress[keep], in_si, where[keep], tuple(notices + said))
+
+
+def _check_samples(path, where, time, stretch, strain) -> None:
+    """Refuses times that do not rise, stretches that are none, and strains in per cent without their unit."""
+    checks = [] if time is None else [(np.diff(time, prepend=-np.inf) <= 0, "rising times", time)]
+    if strain is not None:
+        checks.append((strain > LARGEST_STRAIN, "strains of rubber (those in per cent need the unit %)", strain))
+    for wrong, said, values in (*checks, (stretch <= 0, "stretches above zero", stretch)):
         if wrong.any():
             k = int(np.argmax(wrong))
-            value = (time if said == "rising times" else stretch)[k]
-            raise ValueError(f"`data` must hold {said}, but line {where[k]} of {path} has {float(value):.6g}.")
-    return FilmMeasurement(time, stretch, stress, bool(table.heads[2].size), where, tuple(notices + left))
+            raise ValueError(f"`data` must hold {said}, but line {where[k]} of {path} has {float(values[k]):.6g}.")
+
+
+def _check_branch(branch: str | None) -> None:
+    if branch is not None and branch not in BRANCHES:
+        raise ValueError(f"`branch` must be one of {', '.join(BRANCHES)}, but is {shown(branch)}.")
 
 
 # ---- numbers
 
 
-def _cells(path, lines: list[Line], table: Table) -> tuple[list[tuple[str, ...]], list[int]]:
-    """The cells of every row that are sought, without blanks, and the numbers of their lines."""
-    cells, where = [], []
+def _columns_of(path, columns, column_units, kind) -> tuple[Table, dict[str, np.ndarray], np.ndarray, list[str]]:
+    """The table, its columns in SI by their quantities, the lines of the rows, and notices."""
+    lines, table, notices = table_of(path, columns, column_units, kind)
+    cells, texts = _cells(path, lines[table.first :], table)
+    values, where, left = _numbers(path, cells, table.quantities)
+    sizes = np.array([head.size or 1.0 for head in table.heads])
+    return table, dict(zip(table.quantities, values * sizes[:, None], strict=True)), where, [*notices, *texts, *left]
+
+
+def _cells(path, lines: list[Line], table: Table) -> tuple[tuple[list[tuple[str, ...]], list[int]], list[str]]:
+    """The cells of every row that are sought, without blanks, with the numbers of their lines; and a notice about lines of text."""
+    cells, where, texts = [], [], []
     for line in lines:
         if line.remark:
             continue
         row = split(line.text, table.separator)
+        if _is_text(row, table):
+            texts.append(line)
+            continue
         if full(row) > table.width:
             raise ValueError(
                 f"`data` must hold a number in each cell, but line {line.number} of {path} has {full(row)} cells under "
@@ -155,7 +198,26 @@ def _cells(path, lines: list[Line], table: Table) -> tuple[list[tuple[str, ...]]
         row += [""] * (max(table.places) + 1 - len(row))
         cells.append(tuple(bare(row[place]) for place in table.places))
         where.append(line.number)
-    return cells, where
+    said = (
+        f"Left out: {_lines_text([t.number for t in texts])}, text such as {shown(texts[0].text.strip())}."
+        if texts
+        else ""
+    )
+    return (cells, where), [said] if texts else []
+
+
+def _is_text(row: list[str], table: Table) -> bool:
+    """Whether a row is a sentence or a title: no cell is a number, a missing one or a heading."""
+    cells = [bare(cell) for cell in row if cell]
+    if any(NUMBER.fullmatch(c) or _is_missing(c) or re.search(r"\binf", c, re.IGNORECASE) for c in cells):
+        # a sentence that is split at its blanks may hold a number; it begins with letters, and has too many cells
+        words = sum(bool(re.fullmatch(r"[^\W\d_]{2,}[:,.]?", c)) for c in cells)
+        return (
+            "blanks" in table.separator
+            and 2 * words > len(cells) > len(table.places)
+            and not NUMBER.fullmatch(cells[0])
+        )
+    return bool(cells) and not any(read_head(cell) for cell in cells)
 
 
 def _is_missing(cell: str) -> bool:
@@ -248,18 +310,18 @@ def _lines_text(numbers: Sequence[int]) -> str:
 # ---- points
 
 
-def _positive(path, volume, pressure, where) -> tuple[np.ndarray, list[str]]:
-    """Which points have a volume above zero; volumes far below zero are refused."""
+def _positive(path, given: str, volume, pressure, where) -> tuple[np.ndarray, list[str]]:
+    """Which points have a volume (or height, as `given` says) above zero; volumes far below zero are refused."""
     if not len(volume):
-        raise ValueError(f"`data` must hold points, but {path} has no line with a volume and a pressure.")
+        raise ValueError(f"`data` must hold points, but {path} has no line with a {given} and a pressure.")
     least = -NOISE_OF_VOLUME * volume.max()
     wrong = np.flatnonzero(volume < least) if volume.max() > 0 else np.array([0])
     if wrong.size:
         raise ValueError(
-            f"`data` must hold volumes above zero, but line {where[wrong[0]]} of {path} has {float(volume[wrong[0]]):.6g}."
+            f"`data` must hold {given}s above zero, but line {where[wrong[0]]} of {path} has {float(volume[wrong[0]]):.6g}."
         )
     keep = volume > 0
-    said = [f"Left out: {_lines_text(where[~keep])}, where the volume is zero or less."] if not keep.all() else []
+    said = [f"Left out: {_lines_text(where[~keep])}, where the {given} is zero or less."] if not keep.all() else []
     low = np.flatnonzero(keep & (pressure < -BELOW_ZERO * pressure.max()))
     if low.size:
         raise ValueError(
@@ -286,28 +348,32 @@ def runs_of(volume: np.ndarray) -> list[tuple[int, int, bool]]:
         elif sign * (v - volume[peak]) > 0:
             peak = i
         elif sign * (volume[peak] - v) > step:
-            runs.append((begin, peak + 1, sign > 0))
-            begin, peak, sign = peak + 1, i, -sign
+            if peak > begin or not runs:
+                runs.append((begin, peak + 1, sign > 0))
+                begin = peak + 1
+            # else a jump to the first point of the next run: only one direction was recorded
+            peak, sign = i, -sign
     runs.append((begin, len(volume), sign >= 0))
     return runs if len(volume) >= SHORTEST_RUN * len(runs) else [(0, len(volume), True)]
 
 
-def _on_branch(volume: np.ndarray, where: np.ndarray, branch: str | None) -> tuple[np.ndarray, list[str]]:
-    """Which points are on the requested branch, and notices about the others."""
+def _on_branch(given: str, volume: np.ndarray, where: np.ndarray, branch: str | None) -> tuple[np.ndarray, list[str]]:
+    """Which points are on the requested branch of the `given` quantity, and notices about the others."""
     runs = runs_of(volume)
     keep = np.ones(len(volume), bool)
-    if branch == "all" or (len(runs) == 1 and (branch is None or runs[0][2] == (branch == "loading"))):
+    directions = {rises for *_, rises in runs}
+    if branch == "all" or (len(directions) == 1 and (branch is None or directions == {branch == "loading"})):
         return keep, []
     rising = branch != "unloading"
     for first, behind, rises in runs:
         keep[first:behind] = rises == rising
     if not keep.any():
         raise ValueError(
-            f"`branch` must be one that the data contain, but the volume never {'rises' if rising else 'falls'}."
+            f"`branch` must be one that the data contain, but the {given} never {'rises' if rising else 'falls'}."
         )
     turns = _lines_text([int(where[first]) for first, _, _ in runs[1:]])
     kind, other = ("loading", "unloading") if rising else ("unloading", "loading")
     return keep, [
-        f"The volume turns at {turns}: {keep.sum()} points of {kind} are used and {(~keep).sum()} of {other} are left out; "
+        f"The {given} turns at {turns}: {keep.sum()} points of {kind} are used and {(~keep).sum()} of {other} are left out; "
         f"choose with `branch`."
     ]

@@ -8,6 +8,7 @@ __all__ = [
     "BISECTIONS",
     "BLOCKS_OF_POINTS",
     "COARSE",
+    "DENSE",
     "ENDLESS",
     "EVEN_IN_LOG",
     "EXACT_FIT",
@@ -25,6 +26,7 @@ __all__ = [
     "ISLAND",
     "ITERATIONS",
     "LANES",
+    "LARGEST_STRAIN",
     "LEAST_LARGEST",
     "LEAST_VOLUME",
     "LONGEST_HEAD",
@@ -40,6 +42,7 @@ __all__ = [
     "MOST_BUILT",
     "MOST_FIT_STEPS",
     "MOST_LARGEST",
+    "MOST_LOADS",
     "MOST_POINTS",
     "MOST_SAMPLES",
     "MOST_SECTIONS",
@@ -154,6 +157,10 @@ FLATTEST = 1e-8
 LEAST_VOLUME = 5e-4
 #: numbers of volumes for which programs are compiled; the pressures of more points are interpolated between the last
 MODEL_SIZES = 32, 64, 128, 256
+#: voltages of a measurement for which the table of states is computed; more are put into so many bins, evenly in Φ²
+MOST_LOADS = 9
+#: points of the drawn curve, evenly in the volume, and as many evenly in its logarithm
+DENSE = 64
 #: the factor up to which a starting value is raised so that the largest volume is reached
 FARTHEST_START = 2.0**14
 
@@ -197,5 +204,7 @@ SHORTEST_RUN = 4
 BELOW_ZERO = 0.25
 #: of the largest volume: volumes down to minus that are noise about the flat membrane
 NOISE_OF_VOLUME = 0.01
+#: engineering strains beyond which no rubber goes: they are in per cent
+LARGEST_STRAIN = 20.0
 #: letters of a head of a column; longer lines are prose
 LONGEST_HEAD = 200

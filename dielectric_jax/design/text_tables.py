@@ -1,4 +1,4 @@
-"""Tables in text files as written by instruments and people: encodings, separators, columns of volume and pressure."""
+"""Tables in text files as written by instruments and people: encodings, separators, columns of known quantities."""
 
 import csv
 import dataclasses
@@ -6,21 +6,32 @@ import io
 import itertools
 import pathlib
 import re
-from collections.abc import Iterator, Sequence
+import typing
+from collections.abc import Iterator, Mapping, Sequence
 
 from ..model import example_units, unit_size
 from ..numerics import shown
 from .column_names import Head, is_absolute, read_head
 
-__all__ = ["FILM_QUANTITIES", "NUMBER", "QUANTITIES", "Line", "Table", "bare", "full", "split", "table_of"]
+__all__ = ["CURVES", "FILMS", "NUMBER", "Columns", "Kind", "Line", "Table", "bare", "full", "split", "table_of"]
 
-QUANTITIES = ("volume", "pressure")
-FILM_QUANTITIES = ("time", "stretch", "stress")
-_CURVES = {
-    QUANTITIES: "a curve of volume and gauge pressure",
-    FILM_QUANTITIES: "a test of time, stretch and nominal stress",
-}
-_ENCODINGS = ("utf-8-sig", "cp1252", "gb18030", "shift_jis", "latin-1")
+
+@dataclasses.dataclass(frozen=True)
+class Kind:
+    """A kind of table: the sets of quantities of which it must have one, the preferred first, and those it may have."""
+
+    text: str
+    sets: tuple[tuple[str, ...], ...]
+    optional: tuple[str, ...] = ()
+
+
+CURVES = Kind("a curve of volume and gauge pressure", (("volume", "pressure"), ("height", "pressure")), ("voltage",))
+_PAIRS = tuple(itertools.product(("stretch", "strain"), ("stress", "true stress")))
+FILMS = Kind("a test of time, stretch and nominal stress", (*(("time", *pair) for pair in _PAIRS), *_PAIRS))
+#: headings or positions of columns, in the order of the quantities or by their names
+Columns: typing.TypeAlias = Sequence[str | int] | Mapping[str, str | int]
+_COUNTS = {1: "one", 2: "two", 3: "three", 4: "four"}
+_ENCODINGS = ("utf-8-sig", "cp1252", "gb18030", "shift_jis", "big5", "latin-1")
 _MARKS = (
     (b"\xff\xfe\x00\x00", "utf-32"),
     (b"\x00\x00\xfe\xff", "utf-32"),
@@ -30,6 +41,7 @@ _MARKS = (
 _SEPARATORS = (";", "\t", ",", "|", "two or more blanks", "blanks")
 _DIGITS = r"[+-]?(?:\d+(?:[.,]\d*)*|[.,]\d+)"
 NUMBER = re.compile(rf"({_DIGITS})(?:[eEdD]([+-]?\d+))?", re.ASCII)
+_WITH_UNIT = re.compile(rf"{_DIGITS}(?:[eE][+-]?\d+)?\s*[a-zA-Zµμ%°][\w³/^]*")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -129,16 +141,45 @@ class Table:
 
 @dataclasses.dataclass(frozen=True)
 class Wanted:
-    """The quantities that are sought, and their headings or positions and units where they are given."""
+    """The sets of quantities of which one is sought, those that may be there, and their headings or positions and units."""
 
-    quantities: tuple[str, ...]
-    columns: Sequence[str | int] | None
+    kind: Kind
+    sets: tuple[tuple[str, ...], ...]
+    optional: tuple[str, ...]
+    columns: tuple[str | int, ...] | None
     units: Sequence[str] | None
 
     @property
     def text(self) -> str:
         """Volume and pressure; time, stretch and stress."""
-        return f"{', '.join(self.quantities[:-1])} and {self.quantities[-1]}"
+        return f"{', '.join(self.sets[0][:-1])} and {self.sets[0][-1]}"
+
+
+def _wanted(kind: Kind, columns: Columns | None, units: Sequence[str] | None) -> Wanted:
+    """What is sought; refuses columns of other quantities, and another number of units."""
+    allowed = "; or ".join(", ".join(names) for names in dict.fromkeys(kind.sets))
+    more = f", and of {', '.join(kind.optional)} if there is one" if kind.optional else ""
+    if columns is None:
+        counts = {len(names) for names in kind.sets}
+        sought = Wanted(kind, kind.sets, kind.optional, None, units)
+    else:
+        if isinstance(columns, Mapping):
+            names, places = tuple(columns), tuple(columns.values())
+        else:
+            places = tuple(columns)
+            names = next((names for names in kind.sets if len(names) == len(places)), ())
+        if frozenset(names) - set(kind.optional) not in {frozenset(own) for own in kind.sets}:
+            given = list(columns) if not isinstance(columns, Mapping) else dict(columns)
+            raise ValueError(
+                f"`columns` must be {_COUNTS[len(kind.sets[0])]}, of {' and '.join(kind.sets[0])}, or name their quantities, of {allowed}{more}, "
+                f"but are {shown(given)}."
+            )
+        counts, sought = {len(names)}, Wanted(kind, (names,), (), places, units)
+    if units is not None and len(units) not in counts:
+        raise ValueError(
+            f"`column_units` must be {_COUNTS[max(counts)]}, of {' and '.join(sought.sets[0])}, but are {shown(list(units))}."
+        )
+    return sought
 
 
 def _is_numeric(cell: str) -> bool:
@@ -166,11 +207,11 @@ def _first_row(lines: Sequence[Line]) -> int:
 
 
 def table_of(
-    path, columns, column_units, quantities: tuple[str, ...] = QUANTITIES
+    path, columns: Columns | None, column_units: Sequence[str] | None, kind: Kind = CURVES
 ) -> tuple[list[Line], Table, list[str]]:
     """The lines of the file and the table found in them, in the first encoding in which columns are found."""
+    wanted = _wanted(kind, columns, column_units)
     texts, refused = _text_of(path), None
-    wanted = Wanted(quantities, columns, column_units)
     for encoding, text in texts:
         lines = _lines(text)
         if lines and re.fullmatch(r'"?sep=.?"?', lines[0].text.strip(), re.IGNORECASE):
@@ -188,7 +229,7 @@ def table_of(
 def _find_table(path, lines: list[Line], wanted: Wanted) -> Table:
     first = _first_row(lines)
     if first == len(lines):
-        raise ValueError(f"`data` must have columns named {wanted.text} with numbers, but {path} has no numbers.")
+        raise ValueError(_no_numbers(path, lines, wanted))
     if wanted.columns is not None and all(re.fullmatch(r"[0-9]{1,9}", str(c)) for c in wanted.columns):
         return _by_place(path, lines, first, [int(c) for c in wanted.columns], wanted)
     above = [line for line in reversed(lines[:first])]
@@ -197,11 +238,23 @@ def _find_table(path, lines: list[Line], wanted: Wanted) -> Table:
         try:
             found = _by_head(lines, first, head, wanted)
         except ValueError as error:
-            wrong = wrong or ValueError(f"`data` must be {_CURVES[wanted.quantities]}, but {error}.")
+            wrong = wrong or ValueError(f"`data` must be {wanted.kind.text}, but {error}.")
             continue
         if found is not None:
             return _with_units(path, lines, head, found, wanted)
     raise wrong or ValueError(_no_columns(path, lines, first, wanted))
+
+
+def _no_numbers(path, lines: list[Line], wanted: Wanted) -> str:
+    """Why no line is a row of numbers: numbers that carry their units, or none at all."""
+    for line in lines:
+        row = [cell for s in _SEPARATORS[:4] for cell in split(line.text, s)]
+        if not line.remark and sum(bool(_WITH_UNIT.fullmatch(bare(c))) for c in row) >= 2:
+            return (
+                f"`data` must name units once, above the numbers, but line {line.number} of {path} has {shown(line.text)}; remove "
+                "the units from the cells."
+            )
+    return f"`data` must have columns named {wanted.text} with numbers, but {path} has no numbers."
 
 
 def _no_columns(path, lines: list[Line], first: int, wanted: Wanted) -> str:
@@ -209,14 +262,20 @@ def _no_columns(path, lines: list[Line], first: int, wanted: Wanted) -> str:
         return f"`columns` must be headings of one column each in {path}, but {' and '.join(map(shown, wanted.columns))} are not."
     head = next((line for line in reversed(lines[:first]) if not line.remark), None)
     advice = "name them and their units in the first line, or give `columns` and `column_units`"
+    if head is None and any(
+        read_head(split(lines[first].text, s)[0]) and len(_numeric_row(lines[first].text, s)) > 2
+        for s in _SEPARATORS[:4]
+    ):
+        return (
+            f"`data` must have one point in each line, but line {lines[first].number} of {path} has a heading and then numbers; "
+            "exchange lines and columns."
+        )
     if head is None:
         return f"`data` must have columns named {wanted.text}, but {path} begins with numbers; {advice}."
     text = " ".join(head.text.split())[:120]
-    height = "; a height is not a volume" if re.search("height|deflection|displacement", text, re.IGNORECASE) else ""
-    return (
-        f"`data` must have columns named {wanted.text}, but line {head.number} of {path} names {shown(text)}{height}; "
-        f"{advice}."
-    )
+    sigma = "; σ may be the nominal or the true stress" if wanted.kind is FILMS and "σ" in text else ""
+    said = f"but line {head.number} of {path} names {shown(text)}{sigma}"
+    return f"`data` must have columns named {wanted.text}, {said}; {advice}."
 
 
 def _ways(lines: list[Line], first: int) -> Iterator[tuple[str, int]]:
@@ -264,13 +323,17 @@ def _choose(cells: list[str], wanted: Wanted) -> tuple:
             return (), ()
         places = tuple(w[0] for w in named)
         heads = []
-        for quantity, i in zip(wanted.quantities, places, strict=True):
+        for quantity, i in zip(wanted.sets[0], places, strict=True):
             own = [h for h in read_head(cells[i]) if h.quantity == quantity]
             heads.append(dataclasses.replace(own[0], rank=0) if own else Head(quantity))
         return places, tuple(heads)
     known = [(i, h) for i, c in enumerate(cells) for h in read_head(c)]
+    quantities = next((own for own in wanted.sets if set(own) <= {h.quantity for _, h in known}), None)
+    if quantities is None:
+        return (), ()
+    quantities += tuple(q for q in wanted.optional if q in {h.quantity for _, h in known})
     chosen = []
-    for quantity in wanted.quantities:
+    for quantity in quantities:
         own = [(i, h) for i, h in known if h.quantity == quantity]
         if len({h.size is None for _, h in own}) == 2:
             own = [(i, h) for i, h in own if h.size is not None]
@@ -279,8 +342,6 @@ def _choose(cells: list[str], wanted: Wanted) -> tuple:
             names = " and ".join(repr(cells[i]) for i, _ in best)
             raise ValueError(f"the columns {names} may both be the {quantity}; give `columns`")
         chosen += best
-    if len(chosen) < len(wanted.quantities):
-        return (), ()
     return tuple(i for i, _ in chosen), tuple(h for _, h in chosen)
 
 
@@ -289,12 +350,12 @@ def _by_place(path, lines, first: int, places: list[int], wanted: Wanted) -> Tab
     for place in places:
         if not 1 <= place <= width:
             raise ValueError(f"`columns` must be positions from 1 to {width} in {path}, but holds {place}.")
-    heads = tuple(map(Head, wanted.quantities))
+    heads = tuple(map(Head, wanted.sets[0]))
     table = Table(separator, tuple(place - 1 for place in places), heads, width, first)
     named = [line for line in lines[:first] if not line.remark]
     if named and wanted.units is None:
         cells = _split_head(named[-1].text, separator)
-        pairs = zip(places, wanted.quantities, strict=True)
+        pairs = zip(places, wanted.sets[0], strict=True)
         own = [[h for h in read_head(cells[p - 1]) if h.quantity == q] for p, q in pairs]
         if len(cells) >= width and all(own):
             table = dataclasses.replace(table, heads=tuple(h[0] for h in own))
@@ -311,12 +372,13 @@ def _with_units(path, lines, head: Line | None, table: Table, wanted: Wanted) ->
     if any(numbers):  # rows that lack one of the numbers
         table = dataclasses.replace(table, first=table.first - len(rows) + numbers.index(True))
         rows = rows[: numbers.index(True)]
-    for k, (quantity, place) in enumerate(zip(wanted.quantities, table.places, strict=True)):
-        unit = heads[k].unit if wanted.units is None else wanted.units[k]
+    units = dict(enumerate(wanted.units or ()))  # those of columns that may be there are in the heading
+    for k, (quantity, place) in enumerate(zip(table.quantities, table.places, strict=True)):
+        unit = units.get(k, heads[k].unit)
         below = [re.sub(r"^[\[(]|[\])]$", "", row[place]) for row in rows if len(row) > place]
         if unit is None and any(below):
             unit = next(u for u in below if u)
-        if unit is None and heads[k].rank == 3 and quantity in QUANTITIES:
+        if unit is None and heads[k].rank == 3 and quantity in ("volume", "pressure"):
             raise ValueError(
                 f"`data` must have columns named volume and pressure, or V and p with units, but {path} names the {quantity} by "
                 "its symbol alone."
@@ -331,9 +393,11 @@ def _with_units(path, lines, head: Line | None, table: Table, wanted: Wanted) ->
             )
         absolute = quantity == "pressure" and (heads[k].absolute or is_absolute(unit or ""))
         heads[k] = Head(quantity, unit, size, 0, absolute)
-    if wanted.quantities == QUANTITIES and bool(heads[0].size) != bool(heads[1].size):
+    if wanted.kind is CURVES and len({bool(head.size) for head in heads}) > 1:
+        which = "both columns or of neither" if len(heads) == 2 else "all columns or of none"
+        without = next(head.quantity for head in heads if not head.size)
         raise ValueError(
-            f"`data` must give units of both columns or of neither, but {path} does not; name them in its first line, or "
-            "give `column_units`."
+            f"`data` must give units of {which}, but {path} gives none of the {without}; name them in its first line, or "
+            "give `column_units`; `columns` chooses the columns that are read."
         )
     return dataclasses.replace(table, heads=tuple(heads))

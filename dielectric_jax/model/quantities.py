@@ -65,10 +65,13 @@ for _sizes, _words in zip((1.0, 60.0, 3600.0), _SECONDS, strict=True):
     _UNITS["time"] |= dict.fromkeys(_words, _sizes)
 _UNITS["stress"] = _UNITS["pressure"]
 _UNITS["stretch"] = {}
+_UNITS["strain"] = {"%": 0.01, "percent": 0.01, "pct": 0.01}
+_UNITS["true stress"] = _UNITS["pressure"]
 _UNITS["length"] = {
     **_with_prefixes("|d|c|m|μ|u|n", "m"),
     **{"inch": _INCH, "inches": _INCH, "mil": _INCH / 1000, "micron": 1e-6, "microns": 1e-6},
 }
+_UNITS["height"] = _UNITS["length"]
 _UNITS["voltage"] = _with_prefixes("M|k||m", "V")
 _UNITS["field"] = {
     f"{volt}/{metre}": size / length
@@ -84,14 +87,21 @@ _NONE = {
     "pressure": ("-", "1", "μh/a", "uh/a"),
     "time": ("-", "1", "τ"),
     "stretch": ("-", "1", "mm/mm", "m/m"),
+    "strain": ("-", "1", "mm/mm", "m/m"),
     "stress": ("-", "1", "μ"),
+    "true stress": ("-", "1", "μ"),
+    "height": ("-", "1", "a"),
+    "voltage": ("-", "1"),
 }
 _EXAMPLES = {
     "volume": "m³, L, ml, µl, cm³, mm³",
     "pressure": "Pa, hPa, kPa, bar, mbar, psi, mmHg",
     "time": "s, ms, min, h",
     "stretch": "- or mm/mm (a strain is not a stretch)",
+    "strain": "-, mm/mm or %",
     "stress": "Pa, kPa, MPa, N/mm², psi",
+    "true stress": "Pa, kPa, MPa, N/mm², psi",
+    "height": "m, cm, mm, µm",
     "length": "m, cm, mm, µm",
     "voltage": "V, kV",
     "field": "V/m, MV/m, kV/mm, V/µm",

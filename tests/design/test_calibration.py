@@ -6,10 +6,12 @@ import re
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 import dielectric_jax as dj
+from dielectric_jax.apps.cli import main
 from dielectric_jax.design.calibration import check_determined, check_intervals, check_optimal
-from dielectric_jax.design.curve_model import CurveModel
+from dielectric_jax.design.curve_model import CurveModel, Nodes
 from dielectric_jax.design.material_constants import sought_constants
 from dielectric_jax.model.chart import explicit_map
 from dielectric_jax.model.materials import AbstractMaterial
@@ -112,7 +114,10 @@ def test_outliers_hardly_move_a_robust_fit(exact):
     [
         ({"volume": [1.0, 2.0]}, "as long as the other"),
         ({"pressure": [1.0, -1.0, 1.0, 1.0]}, "`pressure` must be positive and finite, but is -1.0 at point 1"),
-        ({"over": ("stiffness",)}, "`over` must name some of stretch_limit, prestretch, but holds 'stiffness'"),
+        (
+            {"over": ("stiffness",)},
+            "`over` must name some of stretch_limit, prestretch, pressure_offset, but holds 'stiffness'",
+        ),
         ({"over": ()}, "one constant or more"),
         ({"volume": [0.001, 0.002, 0.003, 0.004]}, "must be that of an inflated film, but the largest is 0.004 A³"),
         ({"membrane": dj.Membrane(dj.Gent(1.5)), "over": ("prestretch",)}, "stretch_limit 1.5 it has states up to"),
@@ -233,7 +238,7 @@ def test_many_points_are_as_good_as_fewer_states(exact):
     """40 000 points between those of the curve: splines through 256 states, every point with its own noise."""
     random = np.random.default_rng(8)
     volume = np.geomspace(0.3, 60.0, 40_000)
-    curve = CurveModel(dj.Membrane(dj.Gent(120.0)), ("stretch_limit",), volume, 0.0, 1.0)
+    curve = CurveModel(dj.Membrane(dj.Gent(120.0)), ("stretch_limit",), volume, 0.0, {})
     curve.reachable_start()
     pressure = curve(curve.free_of({"stretch_limit": 120.0}))[0]
     at = np.searchsorted(volume, VOLUME)[1:-1]
@@ -244,6 +249,69 @@ def test_many_points_are_as_good_as_fewer_states(exact):
     low, high = found.intervals["stretch_limit"]
     assert low < 120 < high and high / low < 1.01
     assert abs(found.noise / noise - 1) < 0.02 and found.warnings == ()
+
+
+def test_heights_of_the_pole(tmp_path, capsys):
+    """Heights of states found by shooting give the constants back, from arrays and from a file with options."""
+    film = dj.Membrane(dj.Gent(TRUE["stretch_limit"]))
+    states = [dj.equilibrium(film, volume=v) for v in VOLUME]
+    height = np.array([s.height for s in states]) * float(UNITS.radius)
+    pressure = np.array([s.pressure for s in states]) * float(dj.Units(shear_modulus=60e3).scale("pressure"))
+    found = dj.calibrate(height=height, pressure=pressure, units=UNITS)
+    assert found.parameters == pytest.approx(TRUE, rel=1e-6)
+    assert found.volume is None and found.to_json()["height"] == height.tolist()
+    assert found.plot().axes[1].get_xlabel() == "Height h / mm"
+    rows = "".join(f"{1e3 * h:.9g};{p / 100:.9g}\n" for h, p in zip(height, pressure, strict=True))
+    (tmp_path / "pole.csv").write_text("apex height [mm];pressure [mbar]\n" + rows)
+    assert main(["calibrate", str(tmp_path / "pole.csv"), "--si", "--noise", "20"]) == 0
+    said = capsys.readouterr().out
+    assert re.search(r"shear_modulus +60000 .* Pa\n", said) and re.search(r"stretch_limit +120 ", said)
+    assert re.search(r"noise of one pressure: [\d.e-]+ Pa", said)
+    with pytest.raises(ValueError, match="`height` must be that of an inflated film, but the largest is "):
+        dj.calibrate(height=1e-6 * height, pressure=pressure, units=UNITS)
+    with pytest.raises(ValueError, match="`volume` or `height` must be given, and not both"):
+        dj.calibrate(height, pressure, height=height)
+
+
+def test_several_voltages_determine_the_permittivity(exact):
+    """States at 0, 3 and 6 kV by shooting: the permittivity and the gauge's offset as well, within their intervals.
+
+    At 6 kV the starting film, softer and with a larger limiting stretch, has no state at some of the volumes.
+    """
+    units, film = dj.Units(shear_modulus=60e3), dj.Membrane(dj.Gent(TRUE["stretch_limit"]))
+    volume, true = VOLUME[VOLUME < 45][::2], TRUE | {"relative_permittivity": 4.7, "pressure_offset": 700.0}
+    voltage = np.repeat([0.0, 3e3, 6e3], len(volume))
+    reduced = voltage / float(units.scale("voltage"))
+    every = np.tile(volume, 3)
+    pressure = [dj.equilibrium(film, volume=v, voltage=f).pressure for v, f in zip(every, reduced, strict=True)]
+    exactly = np.array(pressure) * float(units.scale("pressure")) + 700.0
+    at = every * float(UNITS.scale("volume"))
+    start = dj.Units(permittivity=3 * 8.854e-12)
+    found = dj.calibrate(at, exactly, voltage=voltage, units=start, over=tuple(true))
+    assert found.parameters == pytest.approx(true, rel=1e-6)
+    assert float(found.units.permittivity) == pytest.approx(4.7 * 8.854e-12, rel=1e-6)
+    assert float(found.membrane.breakdown.relative_permittivity) == pytest.approx(4.7, rel=1e-6)
+    assert [c[0] for c in found.curves] == pytest.approx([0.0, 3e3, 6e3])
+    noisy = exactly + 20.0 * np.random.default_rng(3).normal(size=len(at))
+    found = dj.calibrate(at, noisy, voltage=voltage, units=start, over=tuple(true), level=0.99)
+    for name, value in true.items():
+        low, high = found.intervals[name]
+        assert low < value < high < 1.2 * low
+    with pytest.raises(ValueError, match=r"`over` must name some of .*, but holds 'relative_permittivity'"):
+        dj.calibrate(*exact, units=UNITS, over=("relative_permittivity",))
+    with pytest.raises(ValueError, match=r"`voltage` must be one number, or one for each of the 24 points"):
+        dj.calibrate(*exact, units=UNITS, voltage=[0.0, 1.0])
+
+
+def test_points_of_many_voltages_are_joined():
+    """Voltages of many points are interpolated each by its own spline; other points are nodes themselves."""
+    random = np.random.default_rng(0)
+    x, q = random.uniform(0.0, 2.0, 1000), np.repeat([0.0, 0.1, 0.3, 0.7], [400, 500, 50, 50])
+    order = random.permutation(1000)
+    nodes = Nodes(x[order], q[order])
+    assert len(nodes.x) == 2 * 256 + 100
+    values = np.sin(3 * nodes.x) + nodes.q
+    np.testing.assert_allclose(nodes.at_points(values), (np.sin(3 * x) + q)[order], atol=1e-9)
 
 
 def test_documents_have_no_infinities(exact):
@@ -261,5 +329,14 @@ def test_the_figure_shows_measurement_fit_and_residuals(exact):
     upper, lower = figure.axes
     np.testing.assert_allclose(upper.lines[0].get_ydata(), exact[1] / 100)
     assert upper.get_ylabel() == "Pressure p / mbar" and lower.get_xlabel() == "Volume V / ml"
+    # the fit is a smooth curve, here through exact points
+    x, y = upper.lines[1].get_data()
+    assert len(x) > 100 and x[[0, -1]] == pytest.approx(exact[0][[0, -1]] * 1e6)
+    np.testing.assert_allclose(CubicSpline(np.log(x), y)(np.log(exact[0] * 1e6)), exact[1] / 100, rtol=1e-5)
+    film = dj.Membrane(dj.Gent(TRUE["stretch_limit"]))
+    scale = float(dj.Units(shear_modulus=60e3).scale("pressure"))
+    for k in (30, 90):
+        state = dj.equilibrium(film, volume=x[k] * 1e-6 / float(UNITS.scale("volume")))
+        assert y[k] == pytest.approx(state.pressure * scale / 100, rel=1e-6)
     np.testing.assert_allclose(lower.lines[-1].get_ydata(), found.residuals / found.noise)
     plt.close(figure)

@@ -147,6 +147,73 @@ def test_what_does_not_fit_is_said():
         calibrate_film(time, stretch, 2 + np.sin(3 * time), over=["modulus_ratio"])
 
 
+# Ogden's three terms for Treloar's rubber, (kPa, exponent); by mode the exponent of λ in the third stretch, and the largest stretch
+TRELOAR = ((630.0, 1.3), (1.2, 5.0), (-10.0, -2.0))
+TRANSVERSE = {"uniaxial": (-0.5, 7.5), "equal_biaxial": (-2.0, 4.5), "pure_shear": (-1.0, 5.0)}
+
+
+def test_an_elastic_film_in_three_modes():
+    """Six constants of Ogden's closed form, exactly, and with noise within their intervals; one mode does not determine them."""
+    stretch = [np.linspace(1.05, most, 22) for _, most in TRANSVERSE.values()]
+    exact = [
+        1e3 * sum(mu * (s ** (a - 1) - s ** (r * a - 1)) for mu, a in TRELOAR)
+        for s, (r, _) in zip(stretch, TRANSVERSE.values(), strict=True)
+    ]
+    true = {f"moduli[{k}]": mu / 400 for k, (mu, _) in enumerate(TRELOAR)}
+    true |= {f"exponents[{k}]": a for k, (_, a) in enumerate(TRELOAR)}
+    asked = {
+        "material": dj.Ogden(moduli=(1.0, 0.01, -0.05), exponents=(1.5, 4.5, -1.5)),
+        "over": ["moduli", "exponents"],
+        "units": dj.Units(shear_modulus=400e3),
+    }
+    found = calibrate_film(None, stretch, exact, mode=list(TRANSVERSE), **asked)
+    assert found.parameters == pytest.approx(true, rel=1e-8)
+    assert found.time == () and found.modes == tuple(TRANSVERSE) and found.to_json()["noise_unit"] == "Pa"
+    random = np.random.default_rng(1)
+    noisy = [s + 5e3 * random.normal(size=22) for s in exact]
+    found = calibrate_film(None, stretch, noisy, mode=list(TRANSVERSE), level=0.99, **asked)
+    for name, value in true.items():
+        low, high = found.intervals[name]
+        assert low < value < high and high - low < 0.4 * abs(value)
+    assert found.noise == pytest.approx(5e3, rel=0.2) and found.warnings == ()
+    upper, lower = found.plot().axes
+    assert len(upper.lines[1].get_xdata()) >= 128 and "kPa" in lower.get_ylabel()
+    with pytest.raises(
+        ValueError, match=r"moduli\[0\] and moduli\[2\] can change together without changing the stresses"
+    ):
+        calibrate_film(None, stretch[0], noisy[0], **asked)
+
+
+def test_tables_of_strains_and_true_stresses(tmp_path, capsys):
+    """Files of two modes, one of engineering strains in %, one of true stresses, are fitted together on the command line."""
+    a = np.linspace(0.7, 3.0, 20)
+    limit = {"u": a**2 + 2 / a - 3, "b": 2 * a**2 + a**-4 - 3}
+    nominal = {"u": 60 * (a - a**-2) / (1 - limit["u"] / 90), "b": 60 * (a - a**-5) / (1 - limit["b"] / 90)}
+    texts = {
+        "u": "time,Engineering strain [%],Stress [kPa]\n"
+        + "".join(f"x,{100 * (v - 1):.9g},{s:.9g}\n" for v, s in zip(a, nominal["u"], strict=True)),
+        "b": "stretch;true stress (MPa)\n"
+        + "".join(f"{v:.9g};{v * s / 1e3:.9g}\n" for v, s in zip(a, nominal["b"], strict=True)).replace(".", ","),
+    }
+    for name, text in texts.items():
+        (tmp_path / f"{name}.csv").write_text(text, encoding="utf-8")
+    files = [str(tmp_path / f"{name}.csv") for name in texts]
+    argv = ["calibrate", *files, "--si", "--mode", "uniaxial", "equal_biaxial", "--json", "-"]
+    assert main([*argv, "--columns", "1", "2"]) == 2
+    assert "--mode must be left out with --columns" in capsys.readouterr().err
+    texts["u"] = texts["u"].replace("time,", "").replace("x,", "")
+    (tmp_path / "u.csv").write_text(texts["u"], encoding="utf-8")
+    assert main(argv) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["parameters"] == pytest.approx({"shear_modulus": 60e3, "stretch_limit": 90.0}, rel=1e-6)
+    for more, words in (
+        (["--relaxation-times", "3"], "--relaxation-times must be left out for a test without times"),
+        (["--mode", "uniaxial", "uniaxial", "uniaxial"], "--mode must be one for all tests, or one for each of the 2"),
+    ):
+        assert main([*argv, *more]) == 2
+        assert words in capsys.readouterr().err
+
+
 def test_pictures():
     """Two panels, a measurement and a fit for each test."""
     tests = [relaxed(2.0, 0.25, 40.0), loop(2.5, 0.1)]
@@ -164,6 +231,13 @@ def test_bad_input():
     for words, call in (
         ("`mode` must be one of", lambda: calibrate_film(time, stretch, stress, mode="shear")),
         ("`start` must be", lambda: calibrate_film(time, stretch, stress, start="wet")),
+        ("`time` must be given with a start that is", lambda: calibrate_film(None, stretch, stress, start="relaxed")),
+        (
+            "`time` must be given with a material",
+            lambda: calibrate_film(None, stretch, stress, material=rubber((1, 1))),
+        ),
+        ("`stretch` must hold more samples", lambda: calibrate_film(None, stretch[:2], stress[:2], units=dj.Units())),
+        ("`stretch` must be one row of numbers, two or more", lambda: calibrate_film(None, stretch[:1], stress[:1])),
         ("`loss` must be one of", lambda: calibrate_film(time, stretch, stress, loss="cubic")),
         ("`time` must rise, but is", lambda: calibrate_film(time[::-1], stretch, stress)),
         ("`stretch` must be positive and finite, but is -1", lambda: calibrate_film(time, -stretch, stress)),
@@ -207,11 +281,19 @@ def test_files(tmp_path, head, size, in_si):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("time,strain,stress\n0,0,0\n1,1,1\n", "`data` must have columns named time, stretch and stress, but line 1"),
+        (
+            "time,true strain,stress\n0,0,0\n1,1,1\n",
+            "`data` must have columns named time, stretch and stress, but line 1",
+        ),
         ("time,stretch,stress\n0,1,0\n0,1,1\n", "`data` must hold rising times, but line 3 of .* has 0"),
         ("time,stretch,stress\n0,1,0\n1,-1,1\n", "`data` must hold stretches above zero, but line 3 of .* has -1"),
         ("time [kg],stretch,stress\n0,1,0\n1,1,1\n", "`data` must give the time in a unit such as s, ms, min, h"),
-        ("time,stretch,true stress\n0,1,0\n1,1,1\n", "`data` must have columns named time, stretch and stress"),
+        ("time,stretch,shear stress\n0,1,0\n1,1,1\n", "`data` must have columns named time, stretch and stress"),
+        ("λ,σ [kPa]\n1,1\n3,2\n", "names 'λ,σ .*; σ may be the nominal or the true stress"),
+        (
+            "strain,stress\n0,1\n300,2\n",
+            r"must hold strains of rubber \(those in per cent need the unit %\), but line 3 of .* has 300",
+        ),
         ("time,stretch,stress\n0,1,0\n", "`data` must hold two samples or more"),
     ],
 )

@@ -79,6 +79,15 @@ FILES = {
     "blank cells": "volume [ml],pressure [kPa]\n12.5,\n,1.5\nNaN,2\n3,--\n" + rows(),
     "trailing separators": "volume [ml],pressure [kPa],\n" + rows("{v},{p},"),
     "zero first": "volume [ml],pressure [kPa]\n0,0\n0.000,-0.001\n" + rows(),
+    "full-width": "体积（ml）,压力（kPa）\n" + rows(),
+    "big5": ("體積 (ml),壓力 (kPa)\n" + rows()).encode("big5"),
+    "text at the end": "volume [ml],pressure [kPa]\n" + rows() + "\nBurst in line 25, at the rim\nOperator: X\n",
+    "beyond the range": "volume [ml],pressure [kPa]\n" + rows() + "800,OL\n",
+    "scientific comma": "volume [ml];pressure [kPa]\n" + comma(rows("{v:.9E};{p:.9E}")),
+    "instrument": "LabVIEW Measurement\t\nDecimal_Separator\t.\n***End_of_Header***\n\t\nX\tVolume (mL)\tPressure (kPa)\tComment\n"
+    + rows("{i}\t{v}\t{p}"),
+    "times and an index": ",datetime,volume_ml,pressure_kPa\n" + rows("{i},2024-05-01 10:00:{i:02d},{v},{p}"),
+    "markdown": "| volume [ml] | pressure [kPa] |\n|---|---|\n" + rows("| {v} | {p} |"),
     "remarks between": "volume [ml],pressure [kPa]\n# pause\n" + rows() + "# end, 7\n",
 }
 # the accuracy of files whose numbers were rounded again
@@ -98,8 +107,9 @@ def test_the_same_curve_in_every_format(tmp_path, name):
     assert ("Left out: lines 2 to 3, where" in left or "Left out: line 2, where" in left) == (
         name in ("event rows", "zero first")
     )
+    assert ("text such as" in left) == (name == "text at the end")
     assert ("not UTF-8" in left) == (
-        name in ("latin-1", "gbk names", "gbk names beside", "utf-16", "utf-16 without mark")
+        name in ("latin-1", "gbk names", "gbk names beside", "utf-16", "utf-16 without mark", "big5")
     )
 
 
@@ -110,7 +120,14 @@ def test_the_same_curve_in_every_format(tmp_path, name):
         (rows(), "begins with numbers"),
         ("", "has no numbers"),
         ("volume [ml],pressure [kPa]\n", "has no numbers"),
-        ("height [mm],pressure [kPa]\n" + rows(), r"line 1 .* names 'height \[mm\],pressure \[kPa\]'; a height is not"),
+        ("diameter [mm],pressure [kPa]\n" + rows(), r"line 1 .* names 'diameter \[mm\],pressure \[kPa\]'; name"),
+        ("volume,pressure\n" + rows("{v} ml,{p} kPa"), "must name units once, above the numbers, but line 2 .* remove"),
+        ("volume [ml],3.4,5.6,7\npressure [kPa],1,2,3\n", "one point in each line, but line 1 .* exchange lines"),
+        (
+            "volume [ml],pressure [kPa],voltage\n" + rows("{v},{p},3"),
+            "units of all columns or of none, .* none of the voltage",
+        ),
+        ("volume [ml],pressure [kPa]\n" + rows() + "Mean,3.9\n", "line 27 .* has 'Mean' as its volume"),
         ("volume,p\n1,2\n", "columns named volume and pressure"),
         ("V,p\n1,2\n", "columns named volume and pressure"),
         ("volume,pressure\n1,2\n1,x\n", "line 3"),
@@ -178,6 +195,27 @@ def test_columns_and_units_may_be_given(tmp_path):
             dj.design.read_measurement(file, columns=columns, column_units=units)
 
 
+def test_heights_and_voltages_are_read(tmp_path):
+    """Heights where there is no volume; voltages beside either, without a sign; other voltages are no quantity of the film."""
+    file = tmp_path / "curve.csv"
+    file.write_text("Pole height (mm);pressure [kPa];U [kV];Sensor voltage [V]\n0;0;0;0\n" + rows("{v};{p};-3;1.2"))
+    found = dj.design.read_measurement(file)
+    assert found.volume is None and found.in_si
+    np.testing.assert_allclose(np.asarray(found.height), VOLUME * 1e-3)
+    np.testing.assert_allclose(np.asarray(found.voltage), 3000.0)
+    assert found.notices[0].endswith("where the height is zero or less.") and "of voltages, 3000 V." in found.notices[1]
+    file.write_text("height [mm],volume [ml],p [kPa],V [kV]\n" + rows("1,{v},{p},{i}"))
+    found = dj.design.read_measurement(file)
+    assert found.height is None
+    np.testing.assert_allclose(np.asarray(found.volume), VOLUME * 1e-6)
+    np.testing.assert_allclose(np.asarray(found.voltage), 1000.0 * np.arange(25))
+    found = dj.design.read_measurement(file, columns={"pressure": "p [kPa]", "height": "height [mm]"})
+    assert found.volume is None and found.voltage is None
+    np.testing.assert_allclose(found.pressure, PRESSURE * 1e3)
+    with pytest.raises(ValueError, match="`columns` must be two, of volume and pressure, or name their quantities"):
+        dj.design.read_measurement(file, columns={"pressure": 3})
+
+
 def test_absolute_pressures_are_made_gauge(tmp_path):
     file = tmp_path / "curve.csv"
     file.write_text(
@@ -206,7 +244,8 @@ def test_loading_and_unloading_are_told_apart(tmp_path):
 
 
 def test_turns_are_no_noise():
-    """Cycles of a volume with noise: the runs are its halves; unordered points form one run."""
+    """Cycles of a volume with noise: the runs are its halves; unordered points form one run; a jump back is no unloading."""
+    assert [rises for *_, rises in runs_of(np.tile(np.arange(1.0, 9.0), 3))] == [True] * 3
     random = np.random.default_rng(0)
     volume = 1 + 50 * (1 - np.cos(np.linspace(0, 6 * np.pi, 600))) + random.normal(size=600)
     found = runs_of(volume)

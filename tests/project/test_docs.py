@@ -63,6 +63,12 @@ def calibration_page(names):
         low, high = found.intervals[name]
         assert low < true < high and high / low < 1.2
     assert names["in_si"]
+    low, high = names["charged"].intervals["relative_permittivity"]
+    assert low < 4.7 < high < 1.1 * low
+    tension, true = names["tension"], (*names["moduli"], *names["exponents"])
+    for (low, high), value in zip(tension.intervals.values(), true, strict=True):
+        assert low < value < high
+    assert tension.warnings == names["charged"].warnings == ()
 
 
 def rates_page(names):
