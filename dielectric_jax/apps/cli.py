@@ -359,7 +359,8 @@ def _run_paper(args: argparse.Namespace) -> None:
 
     Path(args.output).mkdir(exist_ok=True)
     try:
-        print(statements_table(reproduce(args.output, args.only, say=say)), flush=True)
+        made = reproduce(args.output, args.only, format=args.format, dpi=args.dpi, say=say)
+        print(statements_table(made), flush=True)
     except ValueError as error:
         raise BadInput(option_names(str(error), args)) from error
 

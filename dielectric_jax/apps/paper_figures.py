@@ -30,7 +30,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["FIGURES", "fits"]
+__all__ = ["FIGURES", "PRINTED", "fits"]
+
+#: matplotlib's settings for print: text of 8 points at the width of two columns, kept as text
+PRINTED: dict[Any, Any] = {"font.size": 8.0, "pdf.fonttype": 42, "svg.fonttype": "none"}
+_WIDTH = 7.2  # inches, 183 mm
 
 
 def _letters(axes: Iterable[Axes], titles: Sequence[str] = ()) -> None:
@@ -59,8 +63,8 @@ def _states(axes: Sequence[Axes], diagram: Any) -> None:
 def _rows(paper: Any, scenes: Sequence[tuple[str, Any, float]], voltages: Sequence[float]) -> Figure:
     """A row for each scene: membrane curves with the line of the air, and voltage against volume; one legend below."""
     count = len(scenes)
-    figure = new_figure(11.0, 3.8 * count + 0.7)
-    rows: Any = figure.subfigures(count + 1, 1, height_ratios=[*[3.8] * count, 0.7])
+    figure = new_figure(_WIDTH, 2.5 * count + 0.6)
+    rows: Any = figure.subfigures(count + 1, 1, height_ratios=[*[2.5] * count, 0.6])
     *parts, foot = rows
     axes = []
     for part, (_, diagram, prestretch) in zip(parts, scenes, strict=True):
@@ -95,7 +99,7 @@ def fits(share: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def figure_3(paper: Any) -> Figure:
     """Gent against eight-chain, and the pressure–volume curve of the model."""
-    figure = new_figure(11.0)
+    figure = new_figure(_WIDTH, 3.0)
     left, right = figure.subplots(1, 2)
     modulus = VHB_4910["tension"]["shear_modulus"] / 1e3
     stretch, gent, chain = fits(0.985)
@@ -113,7 +117,7 @@ def figure_3(paper: Any) -> Figure:
 def figure_5(paper: Any) -> Figure:
     """Shapes, stretches and stresses of the membrane at p = 1.82, before the voltage and where it lands."""
     profiles = paper.profiles()
-    figure = new_figure(11.0, 13.0)
+    figure = new_figure(_WIDTH, 8.5)
     panels = figure.subplots(3, 2).ravel()
     plot_cross_section(profiles["start"], ax=panels[0])
     plot_cross_section(profiles["landing"], ax=panels[1])
@@ -160,7 +164,7 @@ def figure_9(paper: Any) -> Figure:
 
 def figure_10(paper: Any) -> Figure:
     """The model's pressure–volume curves at three prestretches on one opening, in mbar and ml."""
-    figure = new_figure(6.5)
+    figure = new_figure(_WIDTH / 2, 2.8)
     ax = figure.add_subplot()
     entries, branches = [], []
     for prestretch, colour in zip((1.0, 2.0, 3.0), COLOURS, strict=False):
@@ -185,7 +189,7 @@ def figure_11(paper: Any) -> Figure:
 
 def figure_12(paper: Any) -> Figure:
     """The model's predictions for the experiment's chambers, in kV and ml; (a), not drawn, only shows the experiment over time."""
-    figure = new_figure(15.0)
+    figure = new_figure(_WIDTH, 2.8)
     axes = figure.subplots(1, 3)
     for ax, letter, litres in zip(axes, "bcd", (0.35, 20.0, 300.0), strict=True):
         plot_voltage_volume(paper.experiment(litres), ax=ax)
