@@ -12,11 +12,13 @@ from ..model import VHB_4910, ArrudaBoyce, Gent, stresses
 from ..plot import (
     COLOURS,
     add_legend,
+    axis_label,
     columns,
     draw_line,
     event_entries,
     line_entries,
     line_entry,
+    mathtext,
     new_figure,
     plot_chamber,
     plot_cross_section,
@@ -24,6 +26,7 @@ from ..plot import (
     plot_pressure_volume,
     plot_voltage_volume,
     point_entries,
+    voltage_label,
 )
 
 if TYPE_CHECKING:
@@ -103,15 +106,24 @@ def figure_3(paper: Any) -> Figure:
     left, right = figure.subplots(1, 2)
     modulus = VHB_4910["tension"]["shear_modulus"] / 1e3
     stretch, gent, chain = fits(0.985)
-    left.plot(stretch, modulus * gent, color=COLOURS[0], label="Gent, μ = 68 kPa, J = 372")
-    left.plot(stretch, modulus * chain, "--", color=COLOURS[5], label="eight-chain, μ = 68 kPa, n = 125")
-    left.set_xlabel("Stretch λ (equal-biaxial)")
-    left.set_ylabel("Nominal stress s / kPa")
+    mu, limit, links, volts = (mathtext(symbol) for symbol in ("μ", "J", "n", "Φ"))
+    left.plot(stretch, modulus * gent, color=COLOURS[0], label=f"Gent, {mu} = 68 kPa, {limit} = 372")
+    left.plot(stretch, modulus * chain, "--", color=COLOURS[5], label=f"eight-chain, {mu} = 68 kPa, {links} = 125")
+    left.set_xlabel(f"{axis_label('stretch')} (equal-biaxial)")
+    left.set_ylabel(axis_label("nominal_stress", paper.units))
     left.set_ylim(0, 6000)
     left.legend(frameon=False)
     plot_pressure_volume(paper.curve(0.0), ax=right, units=paper.units)
-    _letters([left, right], ["", "model alone: Gent, μ = 45 kPa, J = 270, Φ = 0"])
+    _letters([left, right], ["", f"model alone: Gent, {mu} = 45 kPa, {limit} = 270, {volts} = 0"])
     return figure
+
+
+def _held(pressure: float) -> str:
+    return f"{mathtext('p')} = {pressure:g}"
+
+
+def _chamber(volume: float) -> str:
+    return f"{mathtext('V_C')} = {volume:g}, {mathtext('V₀')} = 2.42"
 
 
 def figure_5(paper: Any) -> Figure:
@@ -122,10 +134,12 @@ def figure_5(paper: Any) -> Figure:
     plot_cross_section(profiles["start"], ax=panels[0])
     plot_cross_section(profiles["landing"], ax=panels[1])
     for ax, name in zip(panels[2:], ("stretch_1", "stretch_2", "stress_1", "stress_2"), strict=True):
-        labels = [f"{word}, Φ = {p.voltage_squared**0.5:.4g}" for word, p in profiles.items()]
+        labels = [f"{word}, {voltage_label(p.voltage_squared**0.5)}" for word, p in profiles.items()]
         plot_distribution(list(profiles.values()), name, ax=ax, labels=labels)
         ax.set_yscale("log" if name.startswith("stress") else "linear")
-    _letters(panels, ["p = 1.82, Φ = 0", f"p = 1.82, Φ = {profiles['landing'].voltage_squared ** 0.5:.4g}"])
+    _letters(
+        panels, [f"{_held(1.82)}, {voltage_label(profiles[w].voltage_squared ** 0.5)}" for w in ("start", "landing")]
+    )
     return figure
 
 
@@ -137,7 +151,7 @@ def _marked(paper: Any, title: str, diagram: Any) -> Figure:
 
 def figure_6(paper: Any) -> Figure:
     """Constant pressure 1.82."""
-    return _marked(paper, "p = 1.82", paper.held(1.82))
+    return _marked(paper, _held(1.82), paper.held(1.82))
 
 
 def figure_7(paper: Any) -> Figure:
@@ -146,20 +160,20 @@ def figure_7(paper: Any) -> Figure:
     starts = [d.ramp().events[0].state.volume for _, d in scenes]
     return _rows(
         paper,
-        [(f"p = {p:g}, V₀ = {v:.4g}", d, 1.0) for (p, d), v in zip(scenes, starts, strict=True)],
+        [(f"{_held(p)}, {mathtext('V₀')} = {v:.4g}", d, 1.0) for (p, d), v in zip(scenes, starts, strict=True)],
         paper.voltages,
     )
 
 
 def figure_8(paper: Any) -> Figure:
     """The chamber of volume 1600."""
-    return _marked(paper, "V_C = 1600, V₀ = 2.42", paper.chamber(1600.0))
+    return _marked(paper, _chamber(1600.0), paper.chamber(1600.0))
 
 
 def figure_9(paper: Any) -> Figure:
     """Chambers of four volumes."""
     volumes = (30.0, 800.0, 1600.0, 25000.0)
-    return _rows(paper, [(f"V_C = {v:g}, V₀ = 2.42", paper.chamber(v), 1.0) for v in volumes], paper.voltages)
+    return _rows(paper, [(_chamber(v), paper.chamber(v), 1.0) for v in volumes], paper.voltages)
 
 
 def figure_10(paper: Any) -> Figure:
@@ -174,17 +188,26 @@ def figure_10(paper: Any) -> Figure:
             volume, pressure, broken, stable = columns(branch, "pressure", points)
             draw_line(ax, volume, pressure, stable, broken, colour=colour)
             branches.append(branch)
-        entries.append(line_entry(f"prestretch {prestretch:g}", colour=colour))
+        entries.append(line_entry(f"prestretch {mathtext('λ₀')} = {prestretch:g}", colour=colour))
     add_legend(ax, [*entries, *line_entries(branches)])
-    ax.set(xlim=(0, 400), ylim=(0, 60), xlabel="Volume V / ml", ylabel="Pressure p / mbar")
-    ax.set_title("The model's prediction, Φ = 0, opening of radius 22.5 mm", loc="left", fontsize="medium")
+    ax.set(
+        xlim=(0, 400),
+        ylim=(0, 60),
+        xlabel=axis_label("volume", paper.units),
+        ylabel=axis_label("pressure", paper.units),
+    )
+    ax.set_title(
+        f"The model's prediction, {voltage_label(0.0)}, opening of radius 22.5 mm", loc="left", fontsize="medium"
+    )
     return figure
 
 
 def figure_11(paper: Any) -> Figure:
     """Three prestretches."""
     cases = [(1.0, 1.82), (2.0, 1.0), (3.0, 0.5)]
-    return _rows(paper, [(f"λ₀ = {w:g}, p = {p:g}", paper.held(p, w), w) for w, p in cases], (0.0, 0.1, 0.2))
+    return _rows(
+        paper, [(f"{mathtext('λ₀')} = {w:g}, {_held(p)}", paper.held(p, w), w) for w, p in cases], (0.0, 0.1, 0.2)
+    )
 
 
 def figure_12(paper: Any) -> Figure:
@@ -194,7 +217,9 @@ def figure_12(paper: Any) -> Figure:
     for ax, letter, litres in zip(axes, "bcd", (0.35, 20.0, 300.0), strict=True):
         plot_voltage_volume(paper.experiment(litres), ax=ax)
         ax.set_title(f"({letter})  {litres:g} L", loc="left", fontsize="medium")
-    figure.suptitle("The model's prediction with V₀ = 12 ml (22.8 mbar in the model; the paper reports 19 mbar)")
+    figure.suptitle(
+        f"The model's prediction with {mathtext('V₀')} = 12 ml (22.8 mbar in the model; the paper reports 19 mbar)"
+    )
     return figure
 
 

@@ -91,6 +91,8 @@ class Calibration:
         """
         import matplotlib.pyplot as plt
 
+        from ..plot import axis_label
+
         if axes is None:
             _, axes = plt.subplots(2, 1, figsize=(5.5, 5.5), sharex=True, height_ratios=(3, 1), layout="constrained")
         upper, lower = axes
@@ -103,13 +105,13 @@ class Calibration:
             place = list(self.parameters).index("shear_modulus")
             text[place] = f"shear modulus {self.parameters['shear_modulus'] / 1e3:.4g} kPa"
         upper.plot(volume, self.fit[order] / scale("pressure"), "-", color="#D55E00", label="fit: " + ", ".join(text))
-        upper.set_ylabel("Pressure p A / (μH)" if self.units is None else "Pressure p / mbar")
+        upper.set_ylabel(axis_label("pressure", self.units))
         upper.legend()
         lower.axhspan(-2, 2, color="0.9")
         lower.axhline(0.0, color="0.5", linewidth=0.8)
         lower.plot(volume, self.residuals[order] / max(self.noise, 1e-300), "o", color="#0072B2")
         lower.set_ylabel("Residual / noise")
-        lower.set_xlabel("Volume V / A³" if self.units is None else "Volume V / ml")
+        lower.set_xlabel(axis_label("volume", self.units))
         return upper.figure
 
     def to_json(self) -> dict:

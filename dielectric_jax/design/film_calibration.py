@@ -71,6 +71,8 @@ class FilmCalibration:
         """
         import matplotlib.pyplot as plt
 
+        from ..plot import axis_label
+
         if axes is None:
             _, axes = plt.subplots(1, 2, figsize=(8.0, 3.6), sharey=True, layout="constrained")
         scale = 1.0 if self.units is None else 1e3
@@ -78,9 +80,9 @@ class FilmCalibration:
             for k, (x, stress, fit) in enumerate(zip(columns, self.stress, self.fit, strict=True)):
                 ax.plot(x, stress / scale, ".", color="#0072B2", label=None if k else "measured")
                 ax.plot(x, fit / scale, "-", color="#D55E00", label=None if k else "fit")
-        axes[0].set_ylabel("Nominal stress s/μ" if self.units is None else "Nominal stress s / kPa")
-        axes[0].set_xlabel("Time t")
-        axes[1].set_xlabel("Stretch λ")
+        axes[0].set_ylabel(axis_label("nominal_stress", self.units))
+        axes[0].set_xlabel(axis_label("time"))
+        axes[1].set_xlabel(axis_label("stretch"))
         axes[0].legend()
         return axes[0].figure
 

@@ -39,7 +39,7 @@ from .drawing import (
     point_entries,
     sequence,
     viewed,
-    voltage_text,
+    voltage_label,
 )
 
 if TYPE_CHECKING:
@@ -147,7 +147,7 @@ def plot_pressure_volume(
             volume, pressure, broken, stable = columns(branch, "pressure", points)
             stable = stable if stability else np.ones_like(stable)
             draw_line(ax, volume, pressure, stable, broken, colour=colour)
-        entries.append(line_entry(voltage_text(diagram.voltage, units), colour=colour))
+        entries.append(line_entry(voltage_label(diagram.voltage, units), colour=colour))
         if stability:
             shown += diagram.special_points
     draw_points(ax, shown, "pressure")
@@ -220,7 +220,7 @@ def plot_chamber(
     left.set_xlim(right_limits)
     _frame_chamber(left, diagram, curves)
     colours = sequence(len(curves))
-    entries = [line_entry(voltage_text(c.voltage, units), colour=k) for c, k in zip(curves, colours, strict=True)]
+    entries = [line_entry(voltage_label(c.voltage, units), colour=k) for c, k in zip(curves, colours, strict=True)]
     if held is not None:
         left.axvline(held, color="black", linestyle=GAS, linewidth=1.2, zorder=2.5)
         draw_events(left, diagram.events, "pressure")
@@ -267,7 +267,7 @@ def _draw_shapes(figure: Any, shapes: Sequence[tuple[Event, Profile]], units: An
             ax.plot([side * shape.r[-1], side * 1.15 * width], [0, 0], color="0.6", linewidth=1.2)
         ax.set(xlim=(-1.15 * width, 1.15 * width), ylim=(-0.04 * top, 1.06 * top), aspect="equal")
         voltage = event.state.voltage if units is None else units.read(event.state.voltage, "voltage")
-        ax.set_title(f"{str(event.event).replace('_', ' ')}\n{voltage_text(voltage, units)}", fontsize=9)
+        ax.set_title(f"{str(event.event).replace('_', ' ')}\n{voltage_label(voltage, units)}", fontsize=9)
         ax.axis("off")
 
 

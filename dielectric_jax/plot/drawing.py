@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 import types
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
@@ -25,14 +26,17 @@ __all__ = [
     "draw_line",
     "draw_points",
     "event_entries",
+    "labelled",
     "line_entries",
     "line_entry",
+    "mathtext",
     "new_axes",
     "new_figure",
     "parameter_axis",
     "point_entries",
     "sequence",
     "viewed",
+    "voltage_label",
     "voltage_text",
 ]
 
@@ -42,26 +46,28 @@ _UP, _DOWN = "#D55E00", "#56B4E9"
 _UNSTABLE = (0, (3.2, 1.8))
 GAS = (0, (7.0, 3.0))
 
-# name and symbol of a quantity, and its dimensionless form
-_LABELS = {
-    "pressure": ("Pressure p", "Pressure p A / (μH)"),
-    "voltage": ("Voltage Φ", "Voltage Φ / (H√(μ/ε))"),
-    "charge": ("Charge Q", "Charge Q / (A²√(εμ))"),
-    "volume": ("Volume V", "Volume V / A³"),
-    "radius": ("Undeformed radius R", "Undeformed radius R / A"),
-    "r": ("Radius r", "Radius r / A"),
-    "z": ("Depth below the apex z", "Depth below the apex z / A"),
-    "height": ("Height", "Height / A"),
-    "stretch": ("Stretch λ", "Stretch λ"),
-    "stretch_1": ("Meridional stretch λ₁", "Meridional stretch λ₁"),
-    "stretch_2": ("Hoop stretch λ₂", "Hoop stretch λ₂"),
-    "stress": ("True stress σ", "True stress σ / μ"),
-    "stress_1": ("Meridional stress σ₁", "Meridional stress σ₁ / μ"),
-    "stress_2": ("Hoop stress σ₂", "Hoop stress σ₂ / μ"),
-    "field": ("Electric field E", "Electric field E / √(μ/ε)"),
-    "breakdown_ratio": ("Breakdown ratio E/E_EB", "Breakdown ratio E/E_EB"),
-    "apex_stretch": ("Apex stretch λa", "Apex stretch λa"),
+# quantities of results that are no parameters: words, symbol, dimensionless unit
+_QUANTITIES = {
+    "voltage": ("voltage", "Φ", "H√(μ/ε)"),
+    "charge": ("charge", "Q", "A²√(εμ)"),
+    "radius": ("undeformed radius", "R", "A"),
+    "r": ("radius", "r", "A"),
+    "z": ("depth below the apex", "z", "A"),
+    "height": ("height", "", "A"),
+    "stretch": ("stretch", "λ", ""),
+    "stretch_1": ("meridional stretch", "λ₁", ""),
+    "stretch_2": ("hoop stretch", "λ₂", ""),
+    "stress": ("true stress", "σ", "μ"),
+    "stress_1": ("meridional stress", "σ₁", "μ"),
+    "stress_2": ("hoop stress", "σ₂", "μ"),
+    "nominal_stress": ("nominal stress", "s", "μ"),
+    "field": ("electric field", "E", "√(μ/ε)"),
+    "breakdown_ratio": ("breakdown ratio", "E/E_EB", ""),
+    "apex_stretch": ("apex stretch", "λ_a", ""),
+    "time": ("time", "t", ""),
+    "rate": ("rate", "dΦ/dt", ""),
 }
+_SMALL = str.maketrans({"²": "^2", "³": "^3", "₀": "_0", "₁": "_1", "₂": "_2", "ᵢ": "_i"})
 
 # kind of a special point: (marker, face, label)
 _POINTS = {
@@ -93,11 +99,43 @@ def new_axes(ax: Axes | None, width: float = 6.0) -> Axes:
     return new_figure(width).add_subplot() if ax is None else ax
 
 
+def mathtext(text: str) -> str:
+    r"""A symbol or a dimensionless unit as matplotlib's mathtext; words, such as the names of a user's constants, stay words.
+
+    >>> print(mathtext("V_C"), mathtext("H√(μ/ε)"), mathtext("A³"), mathtext("my_constant"))
+    $V_{\mathrm{C}}$ $H\sqrt{μ/ε}$ $A^3$ my_constant
+    """
+    symbol, of, owner = text.partition(" of ")
+    if not symbol or re.match(r"[a-z]{2}", symbol):
+        return text
+    words = re.sub(r"(?<![a-z_])([a-z]{3,})", r"\\mathrm{\1}", symbol)
+    upright = re.sub(r"_(\w+)", r"_{\\mathrm{\1}}", words)
+    rooted = re.sub(r"√\((.*?)\)", r"\\sqrt{\1}", upright)
+    return f"${rooted.translate(_SMALL)}$" + of + owner
+
+
+def labelled(words: str, symbol: str = "", unit: str = "", *, dimensionless: bool = True) -> str:
+    r"""The label of an axis: words, symbol, and unit; a `dimensionless` unit is a symbol itself.
+
+    >>> print(labelled("chamber volume", "V_C", "L", dimensionless=False))
+    Chamber volume $V_{\mathrm{C}}$ / L
+    """
+    if unit and dimensionless:
+        unit = f"({mathtext(unit)})" if re.search("[/√]", unit) else mathtext(unit)
+    known = symbol and symbol.replace("_", " ") != words  # the constant of a user's material has its name only
+    named = f"{words} {mathtext(symbol)}" if known else words
+    return named[0].upper() + named[1:] + (f" / {unit}" if unit else "")
+
+
 def axis_label(name: str, units: Any = None) -> str:
     """Name, symbol and unit of a quantity."""
-    words, dimensionless = _LABELS[name]
-    unit = "" if units is None else units.read_name(name)
-    return f"{words} / {unit}" if unit else dimensionless
+    if name in _QUANTITIES:
+        words, symbol, unit = _QUANTITIES[name]
+    else:
+        row = parameter_of(name)
+        words, symbol, unit = row.words, row.symbol, row.figure_unit
+    read = "" if units is None else units.read_name("stress" if "stress" in name else name)
+    return labelled(words, symbol, read or unit, dimensionless=not read)
 
 
 def parameter_axis(name: str, units: Any = None) -> tuple[str, float]:
@@ -106,16 +144,20 @@ def parameter_axis(name: str, units: Any = None) -> tuple[str, float]:
     With `units` a pressure or a volume, which is then in SI, is shown as people read it, in mbar, ml or L.
     """
     row = parameter_of(name)
-    label, factor = row.label, 1.0
     if units is not None and row.kind in ("pressure", "volume"):
-        label = f"{row.words} {row.symbol} / {units.read_name(name)}"
-        factor = units.read(1.0, name) / units.to_si(1.0, name)
-    return label[0].upper() + label[1:], float(factor)
+        label = labelled(row.words, row.symbol, units.read_name(name), dimensionless=False)
+        return label, float(units.read(1.0, name) / units.to_si(1.0, name))
+    return labelled(row.words, row.symbol, row.figure_unit, dimensionless=row.unit != row.figure_unit), 1.0
 
 
 def voltage_text(voltage: float, units: Any = None) -> str:
-    """The label Φ = … of a voltage that is already converted to the units shown."""
+    """Φ = … of a voltage that is already converted to the units shown, in plain text."""
     return f"Φ = {voltage:.4g}" + ("" if units is None else f" {units.read_name('voltage')}")
+
+
+def voltage_label(voltage: float, units: Any = None) -> str:
+    """`voltage_text` for a figure."""
+    return voltage_text(voltage, units).replace("Φ", mathtext("Φ"))
 
 
 def viewed(diagram: Any, units: Any = None) -> tuple[Any, Any]:

@@ -62,7 +62,7 @@ def test_a_row_of_panels(known):
     """The letters of figure 8 are at the states of the model's section 4."""
     figure = paper_figures.FIGURES["8"](known)
     left, right = figure.axes
-    assert [ax.get_title(loc="left") for ax in (left, right)] == ["(a)  V_C = 1600, V₀ = 2.42", "(b)"]
+    assert [ax.get_title(loc="left") for ax in (left, right)] == [r"(a)  $V_{\mathrm{C}}$ = 1600, $V_0$ = 2.42", "(b)"]
     places = {text.get_text(): text.xy for text in right.texts if text.get_text() in set("ABCD")}
     assert places["B"][1] == pytest.approx(0.0764953595449, rel=1e-9)
     assert places["C"] == pytest.approx((19.9533292542, 0.0764953595449), rel=1e-9)

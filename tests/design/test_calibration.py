@@ -260,6 +260,6 @@ def test_the_figure_shows_measurement_fit_and_residuals(exact):
     figure = found.plot()
     upper, lower = figure.axes
     np.testing.assert_allclose(upper.lines[0].get_ydata(), exact[1] / 100)
-    assert upper.get_ylabel() == "Pressure p / mbar" and lower.get_xlabel() == "Volume V / ml"
+    assert upper.get_ylabel() == "Pressure $p$ / mbar" and lower.get_xlabel() == "Volume $V$ / ml"
     np.testing.assert_allclose(lower.lines[-1].get_ydata(), found.residuals / found.noise)
     plt.close(figure)

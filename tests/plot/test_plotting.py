@@ -202,11 +202,11 @@ def test_snap_is_an_arrow_level_in_voltage():
 
 def test_labels_are_words_with_symbols():
     ax = plot_voltage_volume(voltage_diagram())
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("Volume V / A³", "Voltage Φ / (H√(μ/ε))")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("Volume $V$ / $A^3$", r"Voltage $Φ$ / ($H\sqrt{μ/ε}$)")
     ax = plot_pressure_volume([pressure_diagram(0.0), pressure_diagram(0.1)])
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("Volume V / A³", "Pressure p A / (μH)")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("Volume $V$ / $A^3$", "Pressure $p$ / ($μH/A$)")
     words = [t.get_text() for t in ax.get_legend().get_texts()]
-    assert words[:2] == ["Φ = 0", "Φ = 0.1"] and "unstable" in words
+    assert words[:2] == ["$Φ$ = 0", "$Φ$ = 0.1"] and "unstable" in words
 
 
 def test_gas_line_is_the_function_given():
