@@ -1,7 +1,15 @@
 from .animation import animate_ramp, animate_run, plot_ramp, ramp_path
-from .diagrams import chamber_voltages, plot_chamber, plot_diagram, plot_pressure_volume, plot_voltage_volume
+from .diagrams import (
+    chamber_voltages,
+    plot_chamber,
+    plot_diagram,
+    plot_membrane_curves,
+    plot_pressure_volume,
+    plot_voltage_volume,
+)
 from .drawing import (
     COLOURS,
+    GAS,
     add_legend,
     axis_label,
     columns,
@@ -13,6 +21,8 @@ from .drawing import (
     mathtext,
     new_figure,
     point_entries,
+    seen_entries,
+    sequence,
     viewed,
     voltage_label,
     voltage_text,
@@ -21,10 +31,12 @@ from .loops import plot_courses, plot_follow, plot_runs, plot_snap_voltages
 from .maps import plot_fold_curves, plot_regime_map
 from .materials import balloon_pressure, plot_material, tension_curves
 from .modes import plot_mode, plot_spectra
-from .states import breakdown_latitudes, plot_cross_section, plot_distribution
+from .states import add_colour_bar, breakdown_latitudes, plot_cross_section, plot_distribution
 
 __all__ = [
     "COLOURS",
+    "GAS",
+    "add_colour_bar",
     "add_legend",
     "animate_ramp",
     "animate_run",
@@ -48,6 +60,7 @@ __all__ = [
     "plot_fold_curves",
     "plot_follow",
     "plot_material",
+    "plot_membrane_curves",
     "plot_mode",
     "plot_pressure_volume",
     "plot_ramp",
@@ -58,6 +71,8 @@ __all__ = [
     "plot_voltage_volume",
     "point_entries",
     "ramp_path",
+    "seen_entries",
+    "sequence",
     "tension_curves",
     "viewed",
     "voltage_label",

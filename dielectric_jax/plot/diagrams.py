@@ -6,12 +6,15 @@ Solid lines are stable states, dashed lines unstable ones, pale lines states bey
 
 from __future__ import annotations
 
+import dataclasses
+import types
 from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..model import (
+    Chamber,
     Event,
     PointKind,
     PrescribedVolume,
@@ -23,20 +26,20 @@ from ..model import (
     voltage_of,
 )
 from .drawing import (
-    COLOURS,
+    BRANCHES,
     GAS,
     add_legend,
     axis_label,
     columns,
+    draw_cones,
     draw_events,
     draw_line,
     draw_points,
-    event_entries,
-    line_entries,
     line_entry,
     new_axes,
     new_figure,
-    point_entries,
+    same_state,
+    seen_entries,
     sequence,
     viewed,
     voltage_label,
@@ -46,7 +49,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["chamber_voltages", "plot_chamber", "plot_diagram", "plot_pressure_volume", "plot_voltage_volume"]
+__all__ = [
+    "chamber_voltages",
+    "plot_chamber",
+    "plot_diagram",
+    "plot_membrane_curves",
+    "plot_pressure_volume",
+    "plot_voltage_volume",
+]
 
 
 def plot_voltage_volume(
@@ -83,29 +93,18 @@ def plot_voltage_volume(
     for number, branch in enumerate(diagram.branches):
         points = [p for p in diagram.special_points if p.branch == number]
         place, squared, broken, stable = columns(branch, f"{vertical}_squared", points, across)
-        draw_line(ax, place, voltage_of(squared), stable, broken, colour=COLOURS[number % len(COLOURS)])
+        colour = BRANCHES[number % len(BRANCHES)]
+        draw_line(ax, place, voltage_of(squared), stable, broken, colour=colour)
+        draw_cones(ax, [branch], vertical, colour, across)
     shown = [p for p in diagram.special_points if p.voltage_squared >= 0]
-    free = [p for p in shown if not _under_an_event(p, diagram.events)]
-    draw_points(ax, free, vertical, across)
+    marked = [e.state for e in diagram.events if e.event not in (RampEvent.snap, RampEvent.snap_back)]
+    draw_points(ax, [p for p in shown if not any(same_state(s, p) for s in marked)], vertical, across)
     draw_events(ax, diagram.events, vertical, across=across)
     _label(ax, vertical, units, across)
     _frame_control(ax, diagram, shown, whole, vertical, across)
     if legend:
-        seen = [p for p in free if _in_view(ax, getattr(p, across), getattr(p, vertical))]
-        add_legend(ax, [*line_entries(diagram.branches), *point_entries(seen), *event_entries(diagram.events)])
+        add_legend(ax, seen_entries(ax))
     return ax
-
-
-def _in_view(ax: Axes, x: float, y: float) -> bool:
-    (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
-    return left <= x <= right and bottom <= y <= top
-
-
-def _under_an_event(point: SpecialPoint, events: Sequence[Event]) -> bool:
-    """Whether the marker of an event covers that of a point: they are the same state."""
-    marked = [e.state for e in events if e.event not in (RampEvent.snap, RampEvent.snap_back)]
-    near = [s for s in marked if abs(s.apex_stretch - point.apex_stretch) <= 1e-6 * point.apex_stretch]
-    return any(abs(s.volume - point.volume) <= 1e-6 * max(point.volume, s.volume) for s in near)
 
 
 def plot_pressure_volume(
@@ -140,17 +139,12 @@ def plot_pressure_volume(
         _require_kind(diagram, "pressure-volume")
     diagrams, (units, *_) = zip(*(viewed(d, units) for d in diagrams), strict=True)
     ax = new_axes(ax)
-    entries, shown = [], []
-    for diagram, colour in zip(diagrams, sequence(len(diagrams)), strict=True):
-        for number, branch in enumerate(diagram.branches):
-            points = [p for p in diagram.special_points if p.branch == number]
-            volume, pressure, broken, stable = columns(branch, "pressure", points)
-            stable = stable if stability else np.ones_like(stable)
-            draw_line(ax, volume, pressure, stable, broken, colour=colour)
-        entries.append(line_entry(voltage_label(diagram.voltage, units), colour=colour))
+    colours = sequence(len(diagrams))
+    for diagram, colour in zip(diagrams, colours, strict=True):
+        _draw_curve(ax, diagram, colour, stability)
         if stability:
-            shown += diagram.special_points
-    draw_points(ax, shown, "pressure")
+            draw_points(ax, diagram.special_points, "pressure")
+    entries = _voltage_entries(diagrams, colours, units)
     _label(ax, "pressure", units)
     _frame_pressure(ax, diagrams, whole)
     if gas_line is not None:
@@ -158,11 +152,65 @@ def plot_pressure_volume(
         ax.plot(volume, gas_line(volume), color="black", linestyle=GAS, linewidth=1.2, zorder=2.5)
         entries.append(line_entry("air", colour="black", linestyle=GAS))
     if legend:
-        branches = [b for d in diagrams for b in d.branches]
-        lines = line_entries(branches) if stability else [e for e in line_entries(branches) if "beyond" in e[1]]
-        seen = [p for p in shown if _in_view(ax, p.volume, p.pressure)]
-        add_legend(ax, [*entries, *lines, *point_entries(seen)])
+        add_legend(ax, [*entries, *(e for e in seen_entries(ax) if stability or e[1] != "stable")])
     return ax
+
+
+def _draw_curve(ax: Axes, diagram: Any, colour: Any, stability: bool = True) -> None:
+    """Draws p against V, converted already, with or without dashes where states are unstable."""
+    for number, branch in enumerate(diagram.branches):
+        points = [p for p in diagram.special_points if p.branch == number]
+        volume, pressure, broken, stable = columns(branch, "pressure", points)
+        draw_line(ax, volume, pressure, stable if stability else np.ones_like(stable), broken, colour=colour)
+    draw_cones(ax, diagram.branches, "pressure", colour)
+
+
+def _voltage_entries(diagrams: Iterable[Any], colours: Iterable[Any], units: Any) -> list[tuple[Any, str]]:
+    return [line_entry(voltage_label(d.voltage, units), colour=k) for d, k in zip(diagrams, colours, strict=True)]
+
+
+def plot_membrane_curves(
+    diagram: Any, curves: Sequence[Any], colours: Sequence[Any], *, ax: Axes, units: Any = None
+) -> None:
+    """Draws p against V at fixed voltages, dashed where the states are unstable under the loading of a diagram.
+
+    A chamber resists a change of volume like a spring of stiffness k = n(p + p_atm)/(V + V_C), a held volume without limit, a held pressure not
+    at all. One unstable direction fewer is left where -k < dp/dV < 0 along the curve.
+
+    Args:
+        diagram: a `Diagram` of kind "voltage-volume", whose scene has the loading.
+        curves: diagrams of kind "pressure-volume" of its membrane.
+        colours: one for each curve.
+        ax: the axes to draw on.
+        units: the `Units` to draw in; by default those the scene carries, else dimensionless.
+    """
+    for curve, colour in zip(curves, colours, strict=True):
+        restated = types.SimpleNamespace(
+            kind=curve.kind,
+            scene=curve.scene,
+            voltage=curve.voltage,
+            branches=[_under(mechanical(diagram.scene.loading), b) for b in curve.branches],
+            special_points=curve.special_points,
+            events=(),
+        )
+        _draw_curve(ax, viewed(restated, units)[0], colour)
+
+
+def _under(loading: Any, branch: Any) -> Any:
+    """A curve at fixed voltage with the index of its states under a loading in place of a held pressure."""
+    rise, growth = np.gradient(branch.pressure), np.gradient(branch.volume)
+    stiffness = np.zeros(len(rise))
+    if isinstance(loading, PrescribedVolume):
+        stiffness = np.full(len(rise), np.inf)
+    elif isinstance(loading, Chamber):
+        outside = branch.pressure + float(loading.atmospheric_pressure)
+        stiffness = float(loading.polytropic_exponent) * outside / (branch.volume + float(loading.volume))
+    falling = (rise * growth < 0) & (np.abs(rise) < stiffness * np.abs(growth))
+    # beside a peak the difference of two points may still rise where the index says that the curve falls
+    flat = (stiffness > 0) & (np.abs(rise) < 0.02 * np.minimum(stiffness, 1.0) * np.abs(growth))
+    return dataclasses.replace(
+        branch, index=np.where((branch.index > 0) & (falling | flat), branch.index - 1, branch.index)
+    )
 
 
 def plot_chamber(
@@ -175,8 +223,8 @@ def plot_chamber(
 ) -> Figure:
     """Draws the paper's figure of one scene: membrane curves with the line of the air, and voltage against volume.
 
-    The states of the scene are the crossings of the pressure–volume line of the air, or of the held volume (dashed), with the
-    curves of the membrane. Under charge control the left panel shows voltage against volume, with the folds of the charge.
+    The states of the scene are the crossings of the pressure–volume line of the air, or of the held volume (long dashes), with the
+    curves of the membrane, which are dashed where they are unstable under the scene's loading. Under charge control the left panel shows voltage against volume, with the folds of the charge.
 
     Args:
         diagram: a `Diagram` of kind "voltage-volume".
@@ -211,16 +259,18 @@ def plot_chamber(
     left, right = figure.subplots(1, 2)
     plot_voltage_volume(diagram, ax=right, units=units)
     right_limits = right.get_xlim()
+    scene_of = diagram
     diagram, units = viewed(diagram, units)
     held = _held_volume(diagram)
     if held is not None:
         right_limits = (0.0, 2.2 * held)
-    plot_pressure_volume(list(curves), ax=left, units=units, stability=False, legend=False)
+    colours = sequence(len(curves))
+    plot_membrane_curves(scene_of, list(curves), colours, ax=left, units=units)
+    _label(left, "pressure", units)
     curves = [viewed(c, units)[0] for c in curves]
     left.set_xlim(right_limits)
     _frame_chamber(left, diagram, curves)
-    colours = sequence(len(curves))
-    entries = [line_entry(voltage_label(c.voltage, units), colour=k) for c, k in zip(curves, colours, strict=True)]
+    entries = _voltage_entries(curves, colours, units)
     if held is not None:
         left.axvline(held, color="black", linestyle=GAS, linewidth=1.2, zorder=2.5)
         draw_events(left, diagram.events, "pressure")
@@ -324,8 +374,8 @@ def _frame_control(
 def _limit(ax: Axes, right: float, top: float) -> None:
     """Sets limits that start slightly below zero, so that markers on an axis are not clipped."""
     right, top = right if right > 0 else 1.0, top if top > 0 else 1.0
-    ax.set_xlim(-0.015 * right, right)
-    ax.set_ylim(-0.015 * top, top)
+    ax.set_xlim(-0.02 * right, right)
+    ax.set_ylim(-0.03 * top, top)
 
 
 def _frame_pressure(ax: Axes, diagrams: Sequence[Any], whole: bool) -> None:

@@ -10,15 +10,18 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
+import dielectric_jax as dj
 from dielectric_jax.model.records import Branch, Event, SpecialPoint, State
 from dielectric_jax.numerics.codes import Code
 from dielectric_jax.plot.diagrams import (
     chamber_voltages,
     plot_chamber,
     plot_diagram,
+    plot_membrane_curves,
     plot_pressure_volume,
     plot_voltage_volume,
 )
+from dielectric_jax.plot.drawing import seen_entries
 
 SNAP_Q, DIP_Q = 0.006, -0.002
 
@@ -176,7 +179,7 @@ def test_states_no_voltage_reaches_are_left_out_and_the_curve_starts_at_zero():
 
 def test_pale_beyond_breakdown():
     ax = plot_voltage_volume(voltage_diagram())
-    pale = [line for line in curves_of(ax) if line.get_alpha() == 0.35]
+    pale = [line for line in curves_of(ax) if line.get_alpha() == 0.45]
     assert pale
     for line in pale:
         inside = np.asarray(line.get_xdata())[1:-1]
@@ -207,6 +210,47 @@ def test_labels_are_words_with_symbols():
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("Volume $V$ / $A^3$", "Pressure $p$ / ($μH/A$)")
     words = [t.get_text() for t in ax.get_legend().get_texts()]
     assert words[:2] == ["$Φ$ = 0", "$Φ$ = 0.1"] and "unstable" in words
+
+
+@pytest.mark.parametrize(
+    "loading", [dj.ConstantPressure(1.0), dj.Chamber(volume=100.0, initial_volume=2.0), dj.PrescribedVolume(2.0)]
+)
+def test_curves_are_dashed_where_the_loading_lets_them_snap(loading):
+    """p = 2 − a(V − 3)² falls beyond its peak; a chamber holds it until the slope −2a(V − 3) reaches −(p + 50)/(V + 100)."""
+    a, volume = 0.05, np.linspace(0.5, 9.0, 400)
+    branch = branch_of(volume, 0 * volume, (volume > 3).astype(int), pressure=2 - a * (volume - 3) ** 2)
+    curve = types.SimpleNamespace(kind="pressure-volume", scene=None, voltage=0.0, branches=[branch], special_points=[])
+    _, ax = plt.subplots()
+    diagram = types.SimpleNamespace(scene=types.SimpleNamespace(loading=loading))
+    plot_membrane_curves(diagram, [curve], ["red"], ax=ax)
+    dashed = [line for line in curves_of(ax) if is_dashed(line)]
+    if isinstance(loading, dj.PrescribedVolume):
+        assert not dashed
+        return
+    # 2a(V − 3)(V + 100) = 52 − a(V − 3)²
+    turn = 3.0 if isinstance(loading, dj.ConstantPressure) else max(np.roots([3 * a, 188 * a, -591 * a - 52]))
+    (line,) = dashed
+    assert line.get_xdata()[0] == pytest.approx(turn, abs=0.03)
+    assert [word for _, word in seen_entries(ax)] == ["stable", "unstable"]
+
+
+def test_a_legend_explains_what_is_in_view():
+    ax = plot_voltage_volume(voltage_diagram())
+    words = {text.get_text() for text in ax.get_legend().get_texts()}
+    assert {"stable", "unstable", "snap", "landing", "breakdown of the ramp"} <= words
+    ax.set_xlim(2.5, 3.5)
+    assert [word for _, word in seen_entries(ax)] == ["stable"]
+
+
+def test_two_events_of_one_state_are_both_seen():
+    diagram = voltage_diagram()
+    start, snap, landing, _, *down = diagram.events
+    broken = Event("breakdown", "up", landing.state, "breakdown in the snap")
+    diagram.events = (start, snap, landing, broken, *down)
+    ax = plot_voltage_volume(diagram)
+    ring, cross = (next(k for k in ax.lines if k.get_marker() == m and k.get_zorder() != 4) for m in "DX")
+    assert ring.get_markersize() > cross.get_markersize() + 2 and ring.get_zorder() < cross.get_zorder()
+    assert ring.get_markerfacecolor() == "white" != cross.get_markerfacecolor()
 
 
 def test_gas_line_is_the_function_given():
