@@ -94,6 +94,9 @@ def test_numbers_of_statements(statements):
     assert chamber["snap_voltage"] == pytest.approx(0.0764953595449, rel=1e-9)
     assert chamber["landing_volume"] == pytest.approx(19.9533292542, rel=1e-9)
     assert chamber["landing_ratio"] == pytest.approx(0.568782, abs=1e-6)
+    expansion = numbers(statements, "13")
+    assert expansion["model_percent"] == pytest.approx(1612, abs=0.5)
+    assert expansion["measured_percent"] == pytest.approx(1689.29, abs=0.01)
     assert chamber["stable_volume_1"] == pytest.approx(11.7561689651, rel=1e-9)
 
 
