@@ -115,7 +115,7 @@ def _run_equilibrium(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[
     def draw() -> Any:
         from ..plot import plot_diagram
 
-        figure = plot_diagram(_curves(dj, args, membrane, [args.voltage])[0], units=args.units)
+        figure: Any = plot_diagram(_curves(dj, args, membrane, [args.voltage])[0], units=args.units)
         (ax,) = figure.axes
         right, top = ax.get_xlim()[1], ax.get_ylim()[1]
         for state in states if args.units is None else args.units.read(states):

@@ -89,12 +89,10 @@ class Calibration:
 
         `axes` are two axes to draw on; new ones when None.
         """
-        import matplotlib.pyplot as plt
-
-        from ..plot import axis_label
+        from ..plot import axis_label, new_figure
 
         if axes is None:
-            _, axes = plt.subplots(2, 1, figsize=(5.5, 5.5), sharex=True, height_ratios=(3, 1), layout="constrained")
+            axes = new_figure(5.5, 5.5).subplots(2, 1, sharex=True, height_ratios=(3, 1))
         upper, lower = axes
         scale = (lambda name: 1.0) if self.units is None else (lambda name: {"volume": 1e-6, "pressure": 100.0}[name])
         order = np.argsort(self.volume)

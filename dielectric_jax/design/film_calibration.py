@@ -69,12 +69,10 @@ class FilmCalibration:
 
         `axes` are two axes to draw on; new ones when None.
         """
-        import matplotlib.pyplot as plt
-
-        from ..plot import axis_label
+        from ..plot import axis_label, new_figure
 
         if axes is None:
-            _, axes = plt.subplots(1, 2, figsize=(8.0, 3.6), sharey=True, layout="constrained")
+            axes = new_figure(8.0, 3.6).subplots(1, 2, sharey=True)
         scale = 1.0 if self.units is None else 1e3
         for ax, columns in zip(axes, (self.time, self.stretch), strict=True):
             for k, (x, stress, fit) in enumerate(zip(columns, self.stress, self.fit, strict=True)):

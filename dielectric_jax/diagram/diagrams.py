@@ -150,7 +150,7 @@ class Diagram:
         return sorted((solved.state(p) for p in solved.states_at(q)), key=lambda s: s.volume)
 
     def plot(self, **options):
-        """The diagram as a matplotlib figure, see `plot.plot_diagram`."""
+        """Draws the diagram, on your axes with `ax=`; returns them, or else the new figure. Options are those of `plot.plot_diagram`."""
         return plot_diagram(self, **options)
 
     def to_json(self, units: Units | None = None) -> dict:

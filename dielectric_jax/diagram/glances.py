@@ -73,7 +73,7 @@ class Glance:
         )
 
     def plot(self, **options):
-        """The diagram as a matplotlib figure, see `plot.plot_diagram`."""
+        """Draws the diagram, on your axes with `ax=`; returns them, or else the new figure. Options are those of `plot.plot_diagram`."""
         return plot_diagram(self, **options)
 
     def _repr_html_(self) -> str:

@@ -291,9 +291,22 @@ def plot_chamber(
 
 
 def plot_diagram(
-    diagram: Any, curves: Sequence[Any] = (), *, figure: Figure | None = None, units: Any = None
-) -> Figure:
-    """Draws the figure for the kind of the diagram; `curves` and `units` as in `plot_chamber`."""
+    diagram: Any,
+    curves: Sequence[Any] = (),
+    *,
+    ax: Axes | None = None,
+    figure: Figure | None = None,
+    units: Any = None,
+) -> Figure | Axes:
+    """Draws the figure for the kind of the diagram on a `figure`, or what fits into one panel on `ax`; returns the one that is drawn on.
+
+    `curves` and `units` are as in `plot_chamber`; curves need a second panel, and so a figure.
+    """
+    if ax is not None:
+        if curves or figure is not None:
+            raise ValueError(f"`ax` must be left out where `{'curves' if curves else 'figure'}` is given, but is not.")
+        plot = plot_voltage_volume if diagram.kind == "voltage-volume" else plot_pressure_volume
+        return plot(diagram, ax=ax, units=units)
     if diagram.kind == "voltage-volume":
         return plot_chamber(diagram, curves, figure=figure, units=units)
     if curves:

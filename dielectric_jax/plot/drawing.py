@@ -98,10 +98,12 @@ _CONE = "end at a conical apex"
 
 
 def new_figure(width: float, height: float = 4.6) -> Figure:
-    """A new figure of a size in inches."""
+    """A new figure of a size in inches, which pyplot shows, and a notebook shows once."""
     import matplotlib.pyplot as plt
 
-    return plt.figure(figsize=(width, height), layout="constrained")
+    from .notebook_figure import NotebookFigure
+
+    return plt.figure(FigureClass=NotebookFigure, figsize=(width, height), layout="constrained")
 
 
 def new_axes(ax: Axes | None, width: float = 6.0) -> Axes:

@@ -137,6 +137,7 @@ def plot_follow(
     labels: Sequence[str] = (),
     units: Any = None,
     time_unit: str = "",
+    figure: Figure | None = None,
 ) -> Figure:
     """The figure of the command `follow`: `plot_runs`, and for a single run `plot_courses` beside it; arguments as there.
 
@@ -147,10 +148,10 @@ def plot_follow(
     4
     """
     if len(runs) > 1:
-        figure = new_figure(8.0)
+        figure = new_figure(8.0) if figure is None else figure
         plot_runs(runs, bounds=bounds, labels=labels, units=units, ax=figure.add_subplot())
         return figure
-    figure = new_figure(12.0, 5.4)
+    figure = new_figure(12.0, 5.4) if figure is None else figure
     panels: Any = figure.subfigures(1, 2, width_ratios=[1.2, 1.0])
     left, right = panels
     ax = plot_runs(runs, bounds=bounds, labels=labels or ["run"], units=units, ax=left.add_subplot())

@@ -149,6 +149,27 @@ def test_a_given_ax_is_drawn_on_and_none_makes_one():
     assert plot_pressure_volume(pressure_diagram(0.0), ax=ax) is ax
     assert plot_pressure_volume(pressure_diagram(0.0)) is not ax
 
+    before = plt.get_fignums()
+    for diagram in (voltage_diagram(), pressure_diagram(0.0)):
+        _, ax = plt.subplots()
+        assert plot_diagram(diagram, ax=ax) is ax and len(curves_of(ax)) > 0
+    assert len(plt.get_fignums()) == len(before) + 2
+    with pytest.raises(ValueError, match="`ax` must be left out where `curves` is given"):
+        plot_diagram(voltage_diagram(), [pressure_diagram(0.0)], ax=ax)
+
+
+def test_a_notebook_shows_a_figure_once_and_scripts_can_show_it():
+    nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
+    pytest.importorskip("ipykernel")
+    made = "figure = dj.plot.new_figure(3.0)\naxes = figure.add_subplot()"
+    cells = ["import dielectric_jax as dj", made, f"{made}\nfigure", f"{made}\naxes.plot([0, 1])"]
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(source) for source in cells])
+    nbclient.NotebookClient(notebook, timeout=120, kernel_name="python3").execute()
+    pictures = [sum("image/png" in output.get("data", ()) for output in cell.outputs) for cell in notebook.cells]
+    assert pictures == [0, 1, 1, 1]
+    figure = dj.plot.new_figure(3.0)
+    assert plt.figure(figure.number) is figure
+
 
 def test_stable_is_solid_unstable_dashed_and_they_meet_at_the_fold():
     ax = plot_voltage_volume(voltage_diagram())
