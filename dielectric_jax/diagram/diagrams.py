@@ -150,7 +150,10 @@ class Diagram:
         return sorted((solved.state(p) for p in solved.states_at(q)), key=lambda s: s.volume)
 
     def plot(self, **options):
-        """Draws the diagram, on your axes with `ax=`; returns them, or else the new figure. Options are those of `plot.plot_diagram`."""
+        """Draws the diagram, or two of its columns with `x=` and `y=` (`plot(x="apex_stretch", y="pressure")`), on your axes with `ax=`.
+
+        Returns the axes given, or else the new figure. Options are those of `plot.plot_diagram`.
+        """
         return plot_diagram(self, **options)
 
     def to_json(self, units: Units | None = None) -> dict:

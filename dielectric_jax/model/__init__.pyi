@@ -46,6 +46,7 @@ from .profiles import energy, profile, scaling_defect
 from .programs import jacobian_program, value_program
 from .quantities import VACUUM_PERMITTIVITY, example_units, is_unit_absolute, quantity, unit_size
 from .records import (
+    QUANTITIES,
     Branch,
     Event,
     Ramp,
@@ -79,6 +80,7 @@ __all__ = [
     "LOAD_PANELS",
     "MOST_STEPS",
     "PARAMETERS",
+    "QUANTITIES",
     "REGIME_COLOURS",
     "SCALE",
     "SCANNED_LOAD",

@@ -2,6 +2,7 @@ from .animation import animate_ramp, animate_run, plot_ramp, ramp_path
 from .diagrams import (
     chamber_voltages,
     plot_chamber,
+    plot_columns,
     plot_diagram,
     plot_membrane_curves,
     plot_pressure_volume,
@@ -53,6 +54,7 @@ __all__ = [
     "mathtext",
     "new_figure",
     "plot_chamber",
+    "plot_columns",
     "plot_courses",
     "plot_cross_section",
     "plot_diagram",

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..model import (
+    QUANTITIES,
     Chamber,
     Event,
     PointKind,
@@ -25,6 +26,7 @@ from ..model import (
     mechanical,
     voltage_of,
 )
+from ..numerics import shown
 from .drawing import (
     BRANCHES,
     GAS,
@@ -290,18 +292,112 @@ def plot_chamber(
     return figure
 
 
+#: the columns of a diagram, as in its JSON
+COLUMNS = ("voltage", *QUANTITIES)
+
+
+def plot_columns(
+    diagram: Any,
+    x: str,
+    y: str,
+    *,
+    ax: Axes | None = None,
+    units: Any = None,
+    whole: bool = False,
+    legend: bool = True,
+) -> Axes:
+    r"""Draws one column of a diagram against another: every branch, the special points, and the ramp with its snaps.
+
+    Args:
+        diagram: a `Diagram` of either kind.
+        x: the column along the horizontal axis, by its name in the JSON document: "voltage", "voltage_squared", "pressure", "volume",
+            "apex_stretch", "height", "charge", "breakdown_ratio", "index" or "error_estimate".
+        y: the column along the vertical axis.
+        ax: the axes to draw on; new ones when None.
+        units: the `Units` to draw in, as kV, ml and mbar; by default those the scene carries, else dimensionless.
+        whole: show every branch in full; otherwise the limits frame the ramp, or the folds of a diagram without one.
+        legend: whether to add a legend.
+
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: for another column, or the same twice.
+
+    >>> import dielectric_jax as dj
+    >>> ax = plot_columns(dj.pressure_volume(dj.Membrane()), "apex_stretch", "pressure")
+    >>> print(ax.get_xlabel(), "|", ax.get_ylabel())
+    Apex stretch $λ_{\mathrm{a}}$ | Pressure $p$ / ($μH/A$)
+    """
+    for argument, name in (("x", x), ("y", y)):
+        if name not in COLUMNS:
+            raise ValueError(f"`{argument}` must be one of {', '.join(COLUMNS)}, but is {shown(name)}.")
+    if x == y:
+        raise ValueError(f"`x` and `y` must be two columns, but both are {x!r}.")
+    diagram, units = viewed(diagram, units)
+    ax = new_axes(ax)
+    counted = "index" in (x, y)  # no special point and no event has a place on an axis that counts
+    for number, branch in enumerate(diagram.branches):
+        points = [] if counted else [p for p in diagram.special_points if p.branch == number]
+        # the square of a voltage or charge is smooth where that begins
+        smooth = [f"{name}_squared" if name in ("voltage", "charge") else name for name in (y, x)]
+        across, up, broken, stable = columns(branch, smooth[0], points, smooth[1])
+        across, up = (voltage_of(v) if n in ("voltage", "charge") else v for n, v in ((x, across), (y, up)))
+        colour = BRANCHES[number % len(BRANCHES)]
+        draw_line(ax, across, up, stable, broken, colour=colour)
+        draw_cones(ax, [branch], y, colour, x)
+    if not counted:
+        marked = [e.state for e in diagram.events if e.event not in (RampEvent.snap, RampEvent.snap_back)]
+        free = [p for p in diagram.special_points if not any(same_state(s, p) for s in marked)]
+        draw_points(ax, free, y, x)
+        draw_events(ax, diagram.events, y, across=x)
+    _label(ax, y, units, x)
+    _frame_columns(ax, diagram, x, y, whole)
+    if legend:
+        add_legend(ax, seen_entries(ax))
+    return ax
+
+
+def _frame_columns(ax: Axes, diagram: Any, x: str, y: str, whole: bool) -> None:
+    """Sets limits that show the ramp, or the folds without one, or else everything; below zero only where these are."""
+    states = [e.state for e in diagram.events] or [p for p in diagram.special_points if p.kind == PointKind.fold]
+    for name, limits in ((x, ax.set_xlim), (y, ax.set_ylim)):
+        values = [np.asarray(getattr(record, name), float) for record in (diagram.branches if whole else states)]
+        known = np.concatenate([v.ravel() for v in values]) if values and name != "index" else np.zeros(0)
+        known = known[np.isfinite(known)]
+        if known.size and known.max() > 0:
+            room = 1.04 if whole else 1.3
+            below = min(
+                [float(known.min()), *(float(getattr(p, name)) for p in diagram.special_points if getattr(p, name) < 0)]
+            )
+            limits(min(room * below, -0.02 * float(known.max())), room * float(known.max()))
+
+
 def plot_diagram(
     diagram: Any,
     curves: Sequence[Any] = (),
     *,
+    x: str | None = None,
+    y: str | None = None,
     ax: Axes | None = None,
     figure: Figure | None = None,
     units: Any = None,
 ) -> Figure | Axes:
     """Draws the figure for the kind of the diagram on a `figure`, or what fits into one panel on `ax`; returns the one that is drawn on.
 
-    `curves` and `units` are as in `plot_chamber`; curves need a second panel, and so a figure.
+    `curves` and `units` are as in `plot_chamber`; curves need a second panel, and so a figure. With `x` and `y`, two columns as in
+    `plot_columns`, these are drawn instead.
     """
+    if x is not None or y is not None:
+        if x is None or y is None:
+            raise ValueError(f"`x` and `y` must be given together, but `{'x' if x is None else 'y'}` is missing.")
+        if curves:
+            raise ValueError("`curves` must be left out where `x` and `y` are given, but is not.")
+        if ax is not None:
+            return plot_columns(diagram, x, y, ax=ax, units=units)
+        figure = new_figure(6.0) if figure is None else figure
+        plot_columns(diagram, x, y, ax=figure.add_subplot(), units=units)
+        return figure
     if ax is not None:
         if curves or figure is not None:
             raise ValueError(f"`ax` must be left out where `{'curves' if curves else 'figure'}` is given, but is not.")

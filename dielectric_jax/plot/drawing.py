@@ -57,6 +57,7 @@ GAS = (0, (7.0, 3.0))
 # quantities of results that are no parameters: words, symbol, dimensionless unit
 _QUANTITIES = {
     "voltage": ("voltage", "Φ", "H√(μ/ε)"),
+    "voltage_squared": ("voltage squared", "Φ²", "H²μ/ε"),
     "charge": ("charge", "Q", "A²√(εμ)"),
     "radius": ("undeformed radius", "R", "A"),
     "r": ("radius", "r", "A"),
@@ -72,6 +73,8 @@ _QUANTITIES = {
     "field": ("electric field", "E", "√(μ/ε)"),
     "breakdown_ratio": ("breakdown ratio", "E/E_EB", ""),
     "apex_stretch": ("apex stretch", "λ_a", ""),
+    "index": ("number of unstable directions", "", ""),
+    "error_estimate": ("estimated relative error", "", ""),
     "time": ("time", "t", ""),
     "rate": ("rate", "dΦ/dt", ""),
 }
@@ -208,11 +211,11 @@ def columns(
 ) -> tuple[np.ndarray, ...]:
     """Volume and q, Q² or p along a branch, and for each cell between two points whether it is beyond breakdown and stable.
 
-    `across` names another quantity in place of the volume. The located folds and the onset of breakdown are inserted, because
+    `name` and `across` may be any two columns of a branch. The located folds and the onset of breakdown are inserted, because
     otherwise two line styles would join beside the turn. Near q = 0 the states are evenly spaced in q, so that Φ = √q would
     begin as a straight chord: that cell is refined, which is accurate enough because V is smooth in q.
     """
-    volume, value = np.asarray(getattr(branch, across), float), _values(branch, name)
+    volume, value = _values(branch, across), _values(branch, name)
     ratio = np.nan_to_num(np.asarray(branch.breakdown_ratio, float))
     broken, stable = ratio >= 1, np.asarray(branch.index, float) == 0
     at, extra = list(np.arange(len(volume), dtype=float)), []
@@ -226,14 +229,15 @@ def columns(
         onsets[cell] = cell + s
         at.append(onsets[cell])
         extra.append(_between(cell, s, volume, value))
-    if name in ("voltage_squared", "charge_squared"):
-        for cell in np.flatnonzero((value[1:] >= 0) != (value[:-1] >= 0)).tolist():
-            zero = value[cell] / (value[cell] - value[cell + 1])
-            reached = 1.0 if value[cell + 1] >= 0 else 0.0
+    load = {name: value, across: volume}
+    for q in (load[n] for n in ("voltage_squared", "charge_squared") if n in load):
+        for cell in np.flatnonzero((q[1:] >= 0) != (q[:-1] >= 0)).tolist():
+            zero = q[cell] / (q[cell] - q[cell + 1])
+            reached = 1.0 if q[cell + 1] >= 0 else 0.0
             for s in zero + (reached - zero) * np.linspace(0, 1, 12)[:-1] ** 2:
-                v, q = _between(cell, s, volume, value)
+                state = _between(cell, s, volume, value)
                 at.append(cell + s)
-                extra.append((v, max(q, 0.0)))
+                extra.append(tuple(max(v, 0.0) if w is q else v for v, w in zip(state, (volume, value), strict=True)))
     order = np.argsort(at, kind="stable")
     at = np.asarray(at)[order]
     middle = (at[1:] + at[:-1]) / 2
@@ -281,10 +285,10 @@ def _turn(
         here = np.array([p.volume, p.apex_stretch])
         if p.kind == PointKind.fold and np.all(low <= here) and np.all(here <= high):
             before, after = (float(np.linalg.norm(here - end)) for end in ends)
-            height = p.charge**2 if name == "charge_squared" else float(getattr(p, name))
-            if not np.isfinite(height):
+            place, height = (p.charge**2 if n == "charge_squared" else float(getattr(p, n)) for n in (across, name))
+            if not np.isfinite([place, height]).all():
                 break
-            return cell + before / ((before + after) or 1.0), float(getattr(p, across)), height
+            return cell + before / ((before + after) or 1.0), place, height
     v, y = _between(cell, 0.5, volume, value)
     return cell + 0.5, v, y
 

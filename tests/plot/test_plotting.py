@@ -95,6 +95,7 @@ def voltage_diagram():
         area_strain=3.0,
         area_strain_reason="breakdown on the branch",
         scene=types.SimpleNamespace(loading=loading),
+        voltage=None,
         complete=True,
         gas_pressure=lambda v: 1.9 - 0.03 * v,
     )
@@ -272,6 +273,65 @@ def test_two_events_of_one_state_are_both_seen():
     ring, cross = (next(k for k in ax.lines if k.get_marker() == m and k.get_zorder() != 4) for m in "DX")
     assert ring.get_markersize() > cross.get_markersize() + 2 and ring.get_zorder() < cross.get_zorder()
     assert ring.get_markerfacecolor() == "white" != cross.get_markerfacecolor()
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "relation"),
+    [
+        ("apex_stretch", "volume", lambda x: (x - 1) ** 2),
+        ("height", "volume", lambda x: x ** (1 / 0.3)),
+        ("volume", "voltage_squared", load),
+        ("breakdown_ratio", "charge", lambda x: 1.6 * x),
+        ("pressure", "voltage", lambda x: np.sqrt(load((1.9 - x) / 0.03))),
+    ],
+)
+def test_any_column_against_any_other(x, y, relation):
+    """The columns of the synthetic branch are functions of its volume, and so of each other."""
+    _, ax = plt.subplots()
+    diagram = voltage_diagram()
+    diagram.branches, diagram.special_points = diagram.branches[:1], diagram.special_points[:-1]
+    assert plot_diagram(diagram, x=x, y=y, ax=ax) is ax
+    lines = [line for line in curves_of(ax) if line.get_color() == "#0072B2"]
+    drawn = np.concatenate([np.asarray(line.get_xydata(), float) for line in lines])
+    own = np.stack([getattr(diagram.branches[0], name) for name in (x, y)], axis=1)
+    own = own[(diagram.branches[0].voltage_squared > 0) & np.isfinite(own).all(axis=1)]
+    np.testing.assert_allclose(own[:, 1], relation(own[:, 0]), rtol=1e-9)
+    for place in own:
+        assert np.nanmin(np.abs(drawn - place).max(axis=1)) < 1e-12
+    markers = [line.get_xydata()[0] for line in ax.lines if line.get_marker() == "o" and line.get_zorder() == 4]
+    folds = [
+        (p.volume, q)
+        for p, q in zip(diagram.special_points[:2], (SNAP_Q, DIP_Q), strict=True)
+        if q > 0 or "squared" in y
+    ]
+    wanted = [[float(getattr(state(v, q), name)) for name in (x, y)] for v, q in folds]
+    np.testing.assert_allclose([m for m in markers if np.isfinite(m).all()][: len(wanted)], wanted, rtol=1e-12)
+
+
+def test_columns_carry_their_units():
+    units = dj.Units()
+    ax = plot_diagram(voltage_diagram(), x="volume", y="voltage", units=units)
+    (left,) = ax.axes
+    assert (left.get_xlabel(), left.get_ylabel()) == ("Volume $V$ / ml", "Voltage $Φ$ / kV")
+    top = max(np.nanmax(line.get_ydata()) for line in left.lines if line.get_marker() == "X")
+    assert top == pytest.approx(units.read(1.0, "voltage") * np.sqrt(load(17.6)), rel=1e-9)
+    counted = plot_diagram(voltage_diagram(), x="volume", y="index").axes[0]
+    assert counted.get_ylabel() == "Number of unstable directions"
+    assert {float(v) for line in counted.lines for v in line.get_ydata()} <= {0.0, 0.5, 1.0}
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"x": "volume"}, "`x` and `y` must be given together, but `y` is missing"),
+        ({"x": "volume", "y": "speed"}, "`y` must be one of voltage, voltage_squared, pressure, .* but is 'speed'"),
+        ({"x": "volume", "y": "volume"}, "`x` and `y` must be two columns, but both are 'volume'"),
+        ({"x": "volume", "y": "pressure", "curves": [0]}, "`curves` must be left out where `x` and `y` are given"),
+    ],
+)
+def test_columns_that_are_refused(given, said):
+    with pytest.raises(ValueError, match=said):
+        plot_diagram(voltage_diagram(), **given)
 
 
 def test_gas_line_is_the_function_given():
