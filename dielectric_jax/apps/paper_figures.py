@@ -265,9 +265,7 @@ def figure_10(paper: Any) -> Figure:
         xlabel=axis_label("volume", paper.units),
         ylabel=axis_label("pressure", paper.units),
     )
-    ax.set_title(
-        f"The model's prediction, {voltage_label(0.0)}, opening of radius 22.5 mm", loc="left", fontsize="medium"
-    )
+    ax.set_title(f"The model at {voltage_label(0.0)}, opening of radius 22.5 mm", loc="left", fontsize="medium")
     return figure
 
 

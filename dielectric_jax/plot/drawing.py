@@ -307,10 +307,13 @@ def draw_line(ax: Axes, x: np.ndarray, y: np.ndarray, stable: np.ndarray, broken
 
 
 def draw_cones(ax: Axes, branches: Iterable[Branch], name: str, colour: Any, across: str = "volume") -> None:
-    """Marks the ends beyond breakdown at which the apex sharpens to a cone: there are no states to draw further on."""
+    """Marks the ends of branches at which the apex sharpens to a cone: there are no states to draw further on.
+
+    A film that is nearly flat, stable and below breakdown, has no cone to show: its curve only begins there.
+    """
     for branch in branches:
         for place, code in ((0, branch.start), (-1, branch.end)):
-            if code == Code.apex_cone and branch.breakdown_ratio[place] >= 1:
+            if code == Code.apex_cone and (branch.breakdown_ratio[place] >= 1 or branch.index[place] > 0):
                 at = (getattr(branch, across)[place], getattr(branch, name)[place])
                 ax.plot(*at, ".", color=colour, alpha=_PALE, markersize=_size(6), zorder=2.4, label=_named(_CONE))
 
