@@ -292,7 +292,7 @@ def _add_paper(commands) -> None:
         "paper",
         help="the computed figures of Li et al. (2013), and its statements compared with what the equations give",
         description="Writes figure_3.png, figure_3.json, … and statements.md, and prints the statements.\n"
-        "Figures are 183 mm wide, two columns of a journal.",
+        "Figures are 183 mm wide, two columns of a journal, or half of it.",
     )
     paper.add_argument(
         "--output", required=True, metavar="DIR", help="folder to write to; created if its parent exists"

@@ -87,7 +87,7 @@ def reproduce(
         folder: for `figure_3.png` …, `figure_3.json` … (the documents of the diagrams a figure shows or is based on)
             and `statements.md`.
         only: numbers of figures; all when None. The statements are those about these figures.
-        format: "pdf", "png" or "svg". Figures are 183 mm wide, two columns of a journal, and keep their text as text.
+        format: "pdf", "png" or "svg". Figures are 183 mm wide, two columns of a journal, or half of it; pdf and svg keep text as text.
         dpi: dots per inch of a png, from 30 to 1200; 300 when None.
         say: called with a text about the progress.
 

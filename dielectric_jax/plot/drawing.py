@@ -500,9 +500,8 @@ def _covers(ax: Axes, legend: Any) -> bool:
     """Whether a legend lies on a line or a marker of its axes."""
     from matplotlib.path import Path
 
-    root = ax.get_figure(root=True)
-    assert root is not None
-    root.draw_without_rendering()
+    drawn: Any = ax.figure
+    drawn.canvas.figure.draw_without_rendering()  # the whole figure, also where the axes are on a part of it
     box = legend.get_window_extent()
     for line in ax.lines:
         places = line.get_transform().transform(np.asarray(line.get_xydata(), float))
