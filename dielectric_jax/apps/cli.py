@@ -115,7 +115,7 @@ def _run_equilibrium(dj: Any, args: argparse.Namespace) -> tuple[dict, Callable[
     def draw() -> Any:
         from ..plot import plot_diagram
 
-        figure = plot_diagram(_curves(dj, args, membrane, [args.voltage])[0], units=args.units)
+        figure: Any = plot_diagram(_curves(dj, args, membrane, [args.voltage])[0], units=args.units)
         (ax,) = figure.axes
         right, top = ax.get_xlim()[1], ax.get_ylim()[1]
         for state in states if args.units is None else args.units.read(states):
@@ -321,7 +321,8 @@ def _run_paper(args: argparse.Namespace) -> None:
 
     Path(args.output).mkdir(exist_ok=True)
     try:
-        print(statements_table(reproduce(args.output, args.only, say=say)), flush=True)
+        made = reproduce(args.output, args.only, format=args.format, dpi=args.dpi, say=say)
+        print(statements_table(made), flush=True)
     except ValueError as error:
         raise BadInput(option_names(str(error), args)) from error
 

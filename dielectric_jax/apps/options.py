@@ -16,8 +16,10 @@ from ..numerics import LARGEST, shown, whole_range
 
 __all__ = [
     "CHAMBER_OPTIONS",
+    "DOTS_PER_INCH",
     "FIGURE_SUFFIXES",
     "MATERIAL_CONSTANTS",
+    "PICTURES",
     "PROGRAM",
     "UNIT_CONSTANTS",
     "BadInput",
@@ -31,6 +33,9 @@ __all__ = [
 
 PROGRAM = "dielectric-jax"
 FIGURE_SUFFIXES = ("eps", "jpg", "jpeg", "pdf", "png", "svg")
+#: formats of the paper's figures, and the least and largest resolution of a png
+PICTURES = ("pdf", "png", "svg")
+DOTS_PER_INCH = (30, 1200)
 CHAMBER_OPTIONS = ("initial_volume", "initial_pressure", "atmospheric_pressure", "polytropic_exponent")
 
 #: the material's own constants, as options and as arguments of its class
@@ -316,12 +321,18 @@ def _add_paper(commands) -> None:
     paper = commands.add_parser(
         "paper",
         help="the computed figures of Li et al. (2013), and its statements compared with what the equations give",
-        description="Writes figure_3.png, figure_3.json, … and statements.md, and prints the statements.",
+        description="Writes figure_3.png, figure_3.json, … and statements.md, and prints the statements.\n"
+        "Figures are 183 mm wide, two columns of a journal, or half of it.",
     )
     paper.add_argument(
         "--output", required=True, metavar="DIR", help="folder to write to; created if its parent exists"
     )
     paper.add_argument("--only", nargs="+", action="extend", metavar="FIGURE", help="numbers of figures (all)")
+    paper.add_argument("--format", choices=PICTURES, default="png", help="of the figures (png)")
+    least, most = DOTS_PER_INCH
+    paper.add_argument(
+        "--dpi", type=_whole(least, most), metavar="N", help=f"dots per inch of a png, from {least} to {most} (300)"
+    )
 
 
 def _add_sweep(commands) -> None:
@@ -482,7 +493,7 @@ def _check(args: argparse.Namespace) -> None:
     if args.command == "explain":
         return
     if args.command == "paper":
-        _check_folder("--output", args.output)
+        _check_paper(args)
         return
     _check_files(args)
     if args.command in ("regimes", "optimise", "follow"):
@@ -591,6 +602,12 @@ def _check_files(args: argparse.Namespace) -> None:
             raise BadInput(
                 f"--figure must be a file name ending in {one_of(FIGURE_SUFFIXES)}, but is {shown(args.figure)}."
             )
+
+
+def _check_paper(args: argparse.Namespace) -> None:
+    _check_folder("--output", args.output)
+    if args.dpi is not None and args.format != "png":
+        raise BadInput(f"--dpi must be given with --format png only, but the format is {args.format}.")
 
 
 def _check_sweep(args: argparse.Namespace) -> None:

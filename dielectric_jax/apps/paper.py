@@ -11,7 +11,8 @@ import typing
 from ..diagram import Diagram, pressure_volume, voltage_volume
 from ..model import Chamber, ConstantPressure, Membrane, Profile, Scene, Units, profile
 from ..numerics import shown
-from .paper_figures import FIGURES
+from .options import DOTS_PER_INCH, PICTURES, one_of
+from .paper_figures import FIGURES, PRINTED
 from .paper_statements import STATEMENTS, Statement, statements_table
 
 __all__ = ["Paper", "reproduce"]
@@ -76,6 +77,8 @@ def reproduce(
     folder: str | pathlib.Path,
     only: typing.Iterable[str | int] | None = None,
     *,
+    format: str = "png",
+    dpi: int | None = None,
     say: typing.Callable[[str], None] = lambda text: None,
 ) -> list[Statement]:
     """Writes the paper's computed figures, the scenes behind them, and the statements, to an existing folder.
@@ -84,14 +87,19 @@ def reproduce(
         folder: for `figure_3.png` …, `figure_3.json` … (the documents of the diagrams a figure shows or is based on)
             and `statements.md`.
         only: numbers of figures; all when None. The statements are those about these figures.
+        format: "pdf", "png" or "svg". Figures are 183 mm wide, two columns of a journal, or half of it; pdf and svg keep text as text.
+        dpi: dots per inch of a png, from 30 to 1200; 300 when None.
         say: called with a text about the progress.
 
     Returns:
         The statements.
 
     Raises:
-        ValueError: for a figure that the model does not compute.
+        ValueError: for a figure that the model does not compute, another format, and a resolution that is out of range or not of a png.
     """
+    import matplotlib
+
+    _check_picture(format, dpi)
     wanted = list(FIGURES) if only is None else list(dict.fromkeys(str(name) for name in only))
     for name in wanted:
         if name not in FIGURES:
@@ -101,14 +109,27 @@ def reproduce(
     folder, paper, statements = pathlib.Path(folder), Paper(), []
     for name in wanted:
         say(f"figure {name} …")
-        figure = FIGURES[name](paper)
-        figure.savefig(folder / f"figure_{name}.png", dpi=110)
+        with matplotlib.rc_context(PRINTED):
+            figure = FIGURES[name](paper)
+            figure.savefig(folder / f"figure_{name}.{format}", dpi=dpi or 300)
         _close(figure)
         statements += STATEMENTS[name](paper)
         text = json.dumps({"diagrams": [d.to_json() for d in paper.used()]}, allow_nan=False)
         (folder / f"figure_{name}.json").write_text(text + "\n", encoding="utf-8")
     (folder / "statements.md").write_text(statements_table(statements) + "\n", encoding="utf-8")
     return statements
+
+
+def _check_picture(format: str, dpi: int | None) -> None:
+    if format not in PICTURES:
+        raise ValueError(f"`format` must be {one_of(PICTURES)}, but is {shown(format)}.")
+    if dpi is None:
+        return
+    least, most = DOTS_PER_INCH
+    if not (type(dpi) is int and least <= dpi <= most):
+        raise ValueError(f"`dpi` must be a whole number from {least} to {most}, but is {shown(dpi)}.")
+    if format != "png":
+        raise ValueError(f"`dpi` must be given with the format png only, but the format is {format}.")
 
 
 def _close(figure: typing.Any) -> None:

@@ -102,17 +102,16 @@ class Calibration:
 
         `axes` are two axes to draw on; new ones when None.
         """
-        import matplotlib.pyplot as plt
+        from ..plot import axis_label, new_figure
 
         if axes is None:
-            _, axes = plt.subplots(2, 1, figsize=(5.5, 5.5), sharex=True, height_ratios=(3, 1), layout="constrained")
+            axes = new_figure(5.5, 5.5).subplots(2, 1, sharex=True, height_ratios=(3, 1))
         upper, lower = axes
         at = np.asarray(self.volume if self.height is None else self.height)
-        of_at, label = (1e-6, "Volume V / ml") if self.height is None else (1e-3, "Height h / mm")
+        of_at = 1e-6 if self.height is None else 1e-3
         of_pressure, of_voltage = 100.0, 1e3
         if self.units is None:
             of_at = of_pressure = of_voltage = 1.0
-            label = "Volume V / A³" if self.height is None else "Height h / A"
         one = len(self.curves) == 1
         colors = [("#0072B2", "#D55E00")] if one else [(c, c) for c in COLORS]
         nearest = np.abs(self.voltage[:, None] - [voltage for voltage, *_ in self.curves]).argmin(1)
@@ -133,14 +132,14 @@ class Calibration:
                 label=constants_text(self.parameters, self.units) if one else None,
             )
             lower.plot(at[own] / of_at, self.residuals[own] / max(self.noise, 1e-300), "o", color=dots, markersize=4)
-        upper.set_ylabel("Pressure p A / (μH)" if self.units is None else "Pressure p / mbar")
+        upper.set_ylabel(axis_label("pressure", self.units))
         upper.legend(title=None if one else constants_text(self.parameters, self.units))
         lower.set_ylabel(
             "Residual / noise"
             if self.units is None
             else f"Residual / noise\n(noise {self.noise / of_pressure:.3g} mbar)"
         )
-        lower.set_xlabel(label)
+        lower.set_xlabel(axis_label("volume" if self.height is None else "height", self.units))
         return upper.figure
 
     def to_json(self) -> dict:

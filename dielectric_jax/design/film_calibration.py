@@ -84,20 +84,20 @@ class FilmCalibration:
         Without times the stresses over the stretch, and the residuals in units of the noise. `axes` are two axes to draw on; new ones
         when None.
         """
-        import matplotlib.pyplot as plt
+        from ..plot import axis_label, new_figure
 
         if not self.time:
             return self._plot_elastic(axes)
         if axes is None:
-            _, axes = plt.subplots(1, 2, figsize=(8.0, 3.6), sharey=True, layout="constrained")
+            axes = new_figure(8.0, 3.6).subplots(1, 2, sharey=True)
         scale = 1.0 if self.units is None else 1e3
         for ax, columns in zip(axes, (self.time, self.stretch), strict=True):
             for k, (x, stress, fit) in enumerate(zip(columns, self.stress, self.fit, strict=True)):
                 ax.plot(x, stress / scale, ".", color="#0072B2", label=None if k else "measured")
                 ax.plot(x, fit / scale, "-", color="#D55E00", label=None if k else "fit")
-        axes[0].set_ylabel("Nominal stress s/μ" if self.units is None else "Nominal stress s / kPa")
-        axes[0].set_xlabel("Time t")
-        axes[1].set_xlabel("Stretch λ")
+        axes[0].set_ylabel(axis_label("nominal_stress", self.units))
+        axes[0].set_xlabel(axis_label("time"))
+        axes[1].set_xlabel(axis_label("stretch"))
         axes[0].legend()
         return axes[0].figure
 

@@ -161,7 +161,10 @@ class Diagram:
         return voltage_volume(self.scene, tolerance=self.tolerance)
 
     def plot(self, **options):
-        """The diagram as a matplotlib figure, see `plot.plot_diagram`."""
+        """Draws the diagram, or two of its columns with `x=` and `y=` (`plot(x="apex_stretch", y="pressure")`), on your axes with `ax=`.
+
+        Returns the axes given, or else the new figure. Options are those of `plot.plot_diagram`.
+        """
         return plot_diagram(self, **options)
 
     def to_json(self, units: Units | None = None) -> dict:

@@ -191,14 +191,17 @@ class Report:
     def _repr_html_(self) -> str:
         return "".join(f"<p>{html.escape(line)}</p>" for line in self.lines) + self.diagram._repr_html_()
 
-    def plot(self, *, shapes: bool = False, surface: Surface | None = None, **curve_options):
+    def plot(self, *, ax: typing.Any = None, shapes: bool = False, surface: Surface | None = None, **curve_options):
         """The picture of the scene as a matplotlib figure: curves of the membrane with the line of the air, and voltage against volume.
 
         With `shapes`, insets show the membrane at the events of the ramp. The curves at the ramp's voltages are computed here,
-        with a `surface` of the membrane if one is given; further options are those of `pressure_volume`.
+        with a `surface` of the membrane if one is given; further options are those of `pressure_volume`. On your axes `ax` only the
+        diagram is drawn; returns them, or else the new figure.
         """
-        if self.diagram.kind == "pressure-volume":
-            return plot_diagram(self.diagram)
+        if ax is not None and shapes:
+            raise ValueError("`ax` must be left out with `shapes`, which need more than one panel, but is not.")
+        if ax is not None or self.diagram.kind == "pressure-volume":
+            return plot_diagram(self.diagram, ax=ax)
         curves = []
         voltages = chamber_voltages(self.diagram) if self.diagram.control == "voltage" else []
         for voltage in voltages:

@@ -62,9 +62,14 @@ class Parameter:
         return _UNITS[self.kind][0]
 
     @property
+    def figure_unit(self) -> str:
+        """The unit with its symbols: "", "A³", "μH/A", "Pa"."""
+        return _UNITS[self.kind][1]
+
+    @property
     def label(self) -> str:
-        """The words, the symbol and the unit, as an axis is labelled: "chamber volume V_C / A³"."""
-        unit = _UNITS[self.kind][1]
+        """The words, the symbol and the unit in plain text: "chamber volume V_C / A³"."""
+        unit = self.figure_unit
         unit = f"({unit})" if "/" in unit else unit
         return f"{self.words} {self.symbol}" + (f" / {unit}" if unit else "")
 

@@ -10,7 +10,18 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ..model import Profile, RampEvent, State, Units, profile, voltage_of
-from .drawing import COLOURS, GAS, add_legend, axis_label, draw_events, event_entries, new_axes, new_figure, viewed
+from .drawing import (
+    COLOURS,
+    GAS,
+    add_legend,
+    axis_label,
+    draw_events,
+    event_entries,
+    mathtext,
+    new_axes,
+    new_figure,
+    viewed,
+)
 from .loops import plot_runs
 from .states import plot_cross_section
 
@@ -145,7 +156,7 @@ def animate_ramp(
     shown = states if units is None else units.read(states)
     places: list[tuple[Any, Any]] = [(shown["volume"][i], voltage_of(shown["voltage_squared"][i])) for i in chosen]
     profiles = [profile(film, _state(states, i), steps=96) for i in chosen]
-    titles = [f"E/E_EB = {states['breakdown_ratio'][i]:.2f} at its largest" for i in chosen]
+    titles = [f"{mathtext('E/E_EB')} = {states['breakdown_ratio'][i]:.2f} at its largest" for i in chosen]
     return _written(path, _Film(left, right, profiles, places, titles), units, seconds)
 
 
@@ -200,7 +211,7 @@ def animate_run(
     profiles = [run.profile(float(steps[i])) for i in chosen]
     unit = f" {time_unit}" if time_unit else ""
     titles = [
-        f"t = {time[i]:.4g}{unit}, E/E_EB = {np.max(p.breakdown_ratio):.2f} at its largest"
+        f"{mathtext('t')} = {time[i]:.4g}{unit}, {mathtext('E/E_EB')} = {np.max(p.breakdown_ratio):.2f} at its largest"
         for i, p in zip(chosen, profiles, strict=True)
     ]
     places = [(volume[i], levels[i]) for i in chosen]

@@ -6,12 +6,16 @@ Solid lines are stable states, dashed lines unstable ones, pale lines states bey
 
 from __future__ import annotations
 
+import dataclasses
+import types
 from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..model import (
+    QUANTITIES,
+    Chamber,
     Event,
     PointKind,
     PrescribedVolume,
@@ -22,24 +26,25 @@ from ..model import (
     mechanical,
     voltage_of,
 )
+from ..numerics import shown
 from .drawing import (
-    COLOURS,
+    BRANCHES,
     GAS,
     add_legend,
     axis_label,
     columns,
+    draw_cones,
     draw_events,
     draw_line,
     draw_points,
-    event_entries,
-    line_entries,
     line_entry,
     new_axes,
     new_figure,
-    point_entries,
+    same_state,
+    seen_entries,
     sequence,
     viewed,
-    voltage_text,
+    voltage_label,
 )
 
 if TYPE_CHECKING:
@@ -51,6 +56,7 @@ __all__ = [
     "plot_chamber",
     "plot_chamber_curves",
     "plot_diagram",
+    "plot_membrane_curves",
     "plot_pressure_volume",
     "plot_voltage_volume",
 ]
@@ -90,29 +96,18 @@ def plot_voltage_volume(
     for number, branch in enumerate(diagram.branches):
         points = [p for p in diagram.special_points if p.branch == number]
         place, squared, broken, stable = columns(branch, f"{vertical}_squared", points, across)
-        draw_line(ax, place, voltage_of(squared), stable, broken, colour=COLOURS[number % len(COLOURS)])
+        colour = BRANCHES[number % len(BRANCHES)]
+        draw_line(ax, place, voltage_of(squared), stable, broken, colour=colour)
+        draw_cones(ax, [branch], vertical, colour, across)
     shown = [p for p in diagram.special_points if p.voltage_squared >= 0]
-    free = [p for p in shown if not _under_an_event(p, diagram.events)]
-    draw_points(ax, free, vertical, across)
+    marked = [e.state for e in diagram.events if e.event not in (RampEvent.snap, RampEvent.snap_back)]
+    draw_points(ax, [p for p in shown if not any(same_state(s, p) for s in marked)], vertical, across)
     draw_events(ax, diagram.events, vertical, across=across)
     _label(ax, vertical, units, across)
     _frame_control(ax, diagram, shown, whole, vertical, across)
     if legend:
-        seen = [p for p in free if _in_view(ax, getattr(p, across), getattr(p, vertical))]
-        add_legend(ax, [*line_entries(diagram.branches), *point_entries(seen), *event_entries(diagram.events)])
+        add_legend(ax, seen_entries(ax))
     return ax
-
-
-def _in_view(ax: Axes, x: float, y: float) -> bool:
-    (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
-    return left <= x <= right and bottom <= y <= top
-
-
-def _under_an_event(point: SpecialPoint, events: Sequence[Event]) -> bool:
-    """Whether the marker of an event covers that of a point: they are the same state."""
-    marked = [e.state for e in events if e.event not in (RampEvent.snap, RampEvent.snap_back)]
-    near = [s for s in marked if abs(s.apex_stretch - point.apex_stretch) <= 1e-6 * point.apex_stretch]
-    return any(abs(s.volume - point.volume) <= 1e-6 * max(point.volume, s.volume) for s in near)
 
 
 def plot_pressure_volume(
@@ -147,17 +142,12 @@ def plot_pressure_volume(
         _require_kind(diagram, "pressure-volume")
     diagrams, (units, *_) = zip(*(viewed(d, units) for d in diagrams), strict=True)
     ax = new_axes(ax)
-    entries, shown = [], []
-    for diagram, colour in zip(diagrams, sequence(len(diagrams)), strict=True):
-        for number, branch in enumerate(diagram.branches):
-            points = [p for p in diagram.special_points if p.branch == number]
-            volume, pressure, broken, stable = columns(branch, "pressure", points)
-            stable = stable if stability else np.ones_like(stable)
-            draw_line(ax, volume, pressure, stable, broken, colour=colour)
-        entries.append(line_entry(voltage_text(diagram.voltage, units), colour=colour))
+    colours = sequence(len(diagrams))
+    for diagram, colour in zip(diagrams, colours, strict=True):
+        _draw_curve(ax, diagram, colour, stability)
         if stability:
-            shown += diagram.special_points
-    draw_points(ax, shown, "pressure")
+            draw_points(ax, diagram.special_points, "pressure")
+    entries = _voltage_entries(diagrams, colours, units)
     _label(ax, "pressure", units)
     _frame_pressure(ax, diagrams, whole)
     if gas_line is not None:
@@ -165,11 +155,65 @@ def plot_pressure_volume(
         ax.plot(volume, gas_line(volume), color="black", linestyle=GAS, linewidth=1.2, zorder=2.5)
         entries.append(line_entry("air", colour="black", linestyle=GAS))
     if legend:
-        branches = [b for d in diagrams for b in d.branches]
-        lines = line_entries(branches) if stability else [e for e in line_entries(branches) if "beyond" in e[1]]
-        seen = [p for p in shown if _in_view(ax, p.volume, p.pressure)]
-        add_legend(ax, [*entries, *lines, *point_entries(seen)])
+        add_legend(ax, [*entries, *(e for e in seen_entries(ax) if stability or e[1] != "stable")])
     return ax
+
+
+def _draw_curve(ax: Axes, diagram: Any, colour: Any, stability: bool = True) -> None:
+    """Draws p against V, converted already, with or without dashes where states are unstable."""
+    for number, branch in enumerate(diagram.branches):
+        points = [p for p in diagram.special_points if p.branch == number]
+        volume, pressure, broken, stable = columns(branch, "pressure", points)
+        draw_line(ax, volume, pressure, stable if stability else np.ones_like(stable), broken, colour=colour)
+    draw_cones(ax, diagram.branches, "pressure", colour)
+
+
+def _voltage_entries(diagrams: Iterable[Any], colours: Iterable[Any], units: Any) -> list[tuple[Any, str]]:
+    return [line_entry(voltage_label(d.voltage, units), colour=k) for d, k in zip(diagrams, colours, strict=True)]
+
+
+def plot_membrane_curves(
+    diagram: Any, curves: Sequence[Any], colours: Sequence[Any], *, ax: Axes, units: Any = None
+) -> None:
+    """Draws p against V at fixed voltages, dashed where the states are unstable under the loading of a diagram.
+
+    A chamber resists a change of volume like a spring of stiffness k = n(p + p_atm)/(V + V_C), a held volume without limit, a held pressure not
+    at all. One unstable direction fewer is left where -k < dp/dV < 0 along the curve.
+
+    Args:
+        diagram: a `Diagram` of kind "voltage-volume", whose scene has the loading.
+        curves: diagrams of kind "pressure-volume" of its membrane.
+        colours: one for each curve.
+        ax: the axes to draw on.
+        units: the `Units` to draw in; by default those the scene carries, else dimensionless.
+    """
+    for curve, colour in zip(curves, colours, strict=True):
+        restated = types.SimpleNamespace(
+            kind=curve.kind,
+            scene=curve.scene,
+            voltage=curve.voltage,
+            branches=[_under(mechanical(diagram.scene.loading), b) for b in curve.branches],
+            special_points=curve.special_points,
+            events=(),
+        )
+        _draw_curve(ax, viewed(restated, units)[0], colour)
+
+
+def _under(loading: Any, branch: Any) -> Any:
+    """A curve at fixed voltage with the index of its states under a loading in place of a held pressure."""
+    rise, growth = np.gradient(branch.pressure), np.gradient(branch.volume)
+    stiffness = np.zeros(len(rise))
+    if isinstance(loading, PrescribedVolume):
+        stiffness = np.full(len(rise), np.inf)
+    elif isinstance(loading, Chamber):
+        outside = branch.pressure + float(loading.atmospheric_pressure)
+        stiffness = float(loading.polytropic_exponent) * outside / (branch.volume + float(loading.volume))
+    falling = (rise * growth < 0) & (np.abs(rise) < stiffness * np.abs(growth))
+    # beside a peak the difference of two points may still rise where the index says that the curve falls
+    flat = (stiffness > 0) & (np.abs(rise) < 0.02 * np.minimum(stiffness, 1.0) * np.abs(growth))
+    return dataclasses.replace(
+        branch, index=np.where((branch.index > 0) & (falling | flat), branch.index - 1, branch.index)
+    )
 
 
 def plot_chamber(
@@ -182,8 +226,8 @@ def plot_chamber(
 ) -> Figure:
     """Draws the paper's figure of one scene: membrane curves with the line of the air, and voltage against volume.
 
-    The states of the scene are the crossings of the pressure–volume line of the air, or of the held volume (dashed), with the
-    curves of the membrane. Under charge control the left panel shows voltage against volume, with the folds of the charge.
+    The states of the scene are the crossings of the pressure–volume line of the air, or of the held volume (long dashes), with the
+    curves of the membrane, which are dashed where they are unstable under the scene's loading. Under charge control the left panel shows voltage against volume, with the folds of the charge.
 
     Args:
         diagram: a `Diagram` of kind "voltage-volume".
@@ -232,6 +276,8 @@ def plot_chamber_curves(
 ) -> Axes:
     """Draws p against V: curves of the membrane, the line of the air or of what is held, and the events of the ramp.
 
+    The curves are dashed where they are unstable under the scene's loading.
+
     Args:
         diagram: a `Diagram` of kind "voltage-volume".
         curves: diagrams of kind "pressure-volume" of the same membrane; `chamber_voltages` suggests their voltages.
@@ -245,8 +291,10 @@ def plot_chamber_curves(
     """
     _require_kind(diagram, "voltage-volume")
     ax = new_axes(ax)
-    plot_pressure_volume(list(curves), ax=ax, units=units, stability=False, legend=False)
+    colours = sequence(len(curves))
+    plot_membrane_curves(diagram, curves, colours, ax=ax, units=units)
     diagram, units = viewed(diagram, units)
+    _label(ax, "pressure", units)
     curves = [viewed(c, units)[0] for c in curves]
     held = _held_volume(diagram)
     if held is not None:
@@ -254,9 +302,7 @@ def plot_chamber_curves(
     if limits is not None:
         ax.set_xlim(limits)
     _frame_chamber(ax, diagram, curves)
-    colours = sequence(len(curves))
-    entries = [line_entry(voltage_text(c.voltage, units), colour=k) for c, k in zip(curves, colours, strict=True)]
-    entries.append(_draw_condition(ax, diagram, held))
+    entries = [*_voltage_entries(curves, colours, units), _draw_condition(ax, diagram, held)]
     if legend:
         add_legend(ax, entries)
     return ax
@@ -281,10 +327,117 @@ def _draw_condition(ax: Axes, diagram: Any, held: float | None) -> tuple[Any, st
     return line_entry("pressure held" if constant else "air", colour="black", linestyle=GAS)
 
 
+#: the columns of a diagram, as in its JSON
+COLUMNS = ("voltage", *QUANTITIES)
+
+
+def plot_columns(
+    diagram: Any,
+    x: str,
+    y: str,
+    *,
+    ax: Axes | None = None,
+    units: Any = None,
+    whole: bool = False,
+    legend: bool = True,
+) -> Axes:
+    r"""Draws one column of a diagram against another: every branch, the special points, and the ramp with its snaps.
+
+    Args:
+        diagram: a `Diagram` of either kind.
+        x: the column along the horizontal axis, by its name in the JSON document: "voltage", "voltage_squared", "pressure", "volume",
+            "apex_stretch", "height", "charge", "breakdown_ratio", "index" or "error_estimate".
+        y: the column along the vertical axis.
+        ax: the axes to draw on; new ones when None.
+        units: the `Units` to draw in, as kV, ml and mbar; by default those the scene carries, else dimensionless.
+        whole: show every branch in full; otherwise the limits frame the ramp, or the folds of a diagram without one.
+        legend: whether to add a legend.
+
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: for another column, or the same twice.
+
+    >>> import dielectric_jax as dj
+    >>> ax = plot_columns(dj.pressure_volume(dj.Membrane()), "apex_stretch", "pressure")
+    >>> print(ax.get_xlabel(), "|", ax.get_ylabel())
+    Apex stretch $λ_{\mathrm{a}}$ | Pressure $p$ / ($μH/A$)
+    """
+    for argument, name in (("x", x), ("y", y)):
+        if name not in COLUMNS:
+            raise ValueError(f"`{argument}` must be one of {', '.join(COLUMNS)}, but is {shown(name)}.")
+    if x == y:
+        raise ValueError(f"`x` and `y` must be two columns, but both are {x!r}.")
+    diagram, units = viewed(diagram, units)
+    ax = new_axes(ax)
+    counted = "index" in (x, y)  # no special point and no event has a place on an axis that counts
+    for number, branch in enumerate(diagram.branches):
+        points = [] if counted else [p for p in diagram.special_points if p.branch == number]
+        # the square of a voltage or charge is smooth where that begins
+        smooth = [f"{name}_squared" if name in ("voltage", "charge") else name for name in (y, x)]
+        across, up, broken, stable = columns(branch, smooth[0], points, smooth[1])
+        across, up = (voltage_of(v) if n in ("voltage", "charge") else v for n, v in ((x, across), (y, up)))
+        colour = BRANCHES[number % len(BRANCHES)]
+        draw_line(ax, across, up, stable, broken, colour=colour)
+        draw_cones(ax, [branch], y, colour, x)
+    if not counted:
+        marked = [e.state for e in diagram.events if e.event not in (RampEvent.snap, RampEvent.snap_back)]
+        free = [p for p in diagram.special_points if not any(same_state(s, p) for s in marked)]
+        draw_points(ax, free, y, x)
+        draw_events(ax, diagram.events, y, across=x)
+    _label(ax, y, units, x)
+    _frame_columns(ax, diagram, x, y, whole)
+    if legend:
+        add_legend(ax, seen_entries(ax))
+    return ax
+
+
+def _frame_columns(ax: Axes, diagram: Any, x: str, y: str, whole: bool) -> None:
+    """Sets limits that show the ramp, or the folds without one, or else everything; below zero only where these are."""
+    states = [e.state for e in diagram.events] or [p for p in diagram.special_points if p.kind == PointKind.fold]
+    for name, limits in ((x, ax.set_xlim), (y, ax.set_ylim)):
+        values = [np.asarray(getattr(record, name), float) for record in (diagram.branches if whole else states)]
+        known = np.concatenate([v.ravel() for v in values]) if values and name != "index" else np.zeros(0)
+        known = known[np.isfinite(known)]
+        if known.size and known.max() > 0:
+            room = 1.04 if whole else 1.3
+            below = min(
+                [float(known.min()), *(float(getattr(p, name)) for p in diagram.special_points if getattr(p, name) < 0)]
+            )
+            limits(min(room * below, -0.02 * float(known.max())), room * float(known.max()))
+
+
 def plot_diagram(
-    diagram: Any, curves: Sequence[Any] = (), *, figure: Figure | None = None, units: Any = None
-) -> Figure:
-    """Draws the figure for the kind of the diagram; `curves` and `units` as in `plot_chamber`."""
+    diagram: Any,
+    curves: Sequence[Any] = (),
+    *,
+    x: str | None = None,
+    y: str | None = None,
+    ax: Axes | None = None,
+    figure: Figure | None = None,
+    units: Any = None,
+) -> Figure | Axes:
+    """Draws the figure for the kind of the diagram on a `figure`, or what fits into one panel on `ax`; returns the one that is drawn on.
+
+    `curves` and `units` are as in `plot_chamber`; curves need a second panel, and so a figure. With `x` and `y`, two columns as in
+    `plot_columns`, these are drawn instead.
+    """
+    if x is not None or y is not None:
+        if x is None or y is None:
+            raise ValueError(f"`x` and `y` must be given together, but `{'x' if x is None else 'y'}` is missing.")
+        if curves:
+            raise ValueError("`curves` must be left out where `x` and `y` are given, but is not.")
+        if ax is not None:
+            return plot_columns(diagram, x, y, ax=ax, units=units)
+        figure = new_figure(6.0) if figure is None else figure
+        plot_columns(diagram, x, y, ax=figure.add_subplot(), units=units)
+        return figure
+    if ax is not None:
+        if curves or figure is not None:
+            raise ValueError(f"`ax` must be left out where `{'curves' if curves else 'figure'}` is given, but is not.")
+        plot = plot_voltage_volume if diagram.kind == "voltage-volume" else plot_pressure_volume
+        return plot(diagram, ax=ax, units=units)
     if diagram.kind == "voltage-volume":
         return plot_chamber(diagram, curves, figure=figure, units=units)
     if curves:
@@ -308,7 +461,7 @@ def _draw_shapes(figure: Any, shapes: Sequence[tuple[Event, Profile]], units: An
             ax.plot([side * shape.r[-1], side * 1.15 * width], [0, 0], color="0.6", linewidth=1.2)
         ax.set(xlim=(-1.15 * width, 1.15 * width), ylim=(-0.04 * top, 1.06 * top), aspect="equal")
         voltage = event.state.voltage if units is None else units.read(event.state.voltage, "voltage")
-        ax.set_title(f"{str(event.event).replace('_', ' ')}\n{voltage_text(voltage, units)}", fontsize=9)
+        ax.set_title(f"{str(event.event).replace('_', ' ')}\n{voltage_label(voltage, units)}", fontsize=9)
         ax.axis("off")
 
 
@@ -365,8 +518,8 @@ def _frame_control(
 def _limit(ax: Axes, right: float, top: float) -> None:
     """Sets limits that start slightly below zero, so that markers on an axis are not clipped."""
     right, top = right if right > 0 else 1.0, top if top > 0 else 1.0
-    ax.set_xlim(-0.015 * right, right)
-    ax.set_ylim(-0.015 * top, top)
+    ax.set_xlim(-0.02 * right, right)
+    ax.set_ylim(-0.03 * top, top)
 
 
 def _frame_pressure(ax: Axes, diagrams: Sequence[Any], whole: bool) -> None:

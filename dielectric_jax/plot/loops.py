@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..model import voltage_of
-from .drawing import COLOURS, axis_label, columns, new_axes, new_figure, sequence
+from .drawing import COLOURS, axis_label, columns, labelled, mathtext, new_axes, new_figure, sequence
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -112,7 +112,7 @@ def plot_courses(run: Any, *, units: Any = None, time_unit: str = "", figure: Fi
     rows = (
         ("volume", axis_label("volume", units)),
         ("pressure", axis_label("pressure", units)),
-        ("breakdown_ratio", "E/E_EB"),
+        ("breakdown_ratio", mathtext("E/E_EB")),
     )
 
     def of(values, name):
@@ -126,12 +126,8 @@ def plot_courses(run: Any, *, units: Any = None, time_unit: str = "", figure: Fi
             if event.kind in ("landing", "fastest", "breakdown"):
                 ax.plot(event.time, of(getattr(event, name), name), "o", color="C1", markersize=4)
         ax.set_ylabel(label)
-    figure.axes[-1].set_xlabel(_time_label(time_unit))
+    figure.axes[-1].set_xlabel(labelled("time", "t", time_unit, dimensionless=False))
     return figure
-
-
-def _time_label(unit: str) -> str:
-    return f"Time t / {unit}" if unit else "Time t"
 
 
 def plot_follow(
@@ -141,6 +137,7 @@ def plot_follow(
     labels: Sequence[str] = (),
     units: Any = None,
     time_unit: str = "",
+    figure: Figure | None = None,
 ) -> Figure:
     """The figure of the command `follow`: `plot_runs`, and for a single run `plot_courses` beside it; arguments as there.
 
@@ -151,10 +148,10 @@ def plot_follow(
     4
     """
     if len(runs) > 1:
-        figure = new_figure(8.0)
+        figure = new_figure(8.0) if figure is None else figure
         plot_runs(runs, bounds=bounds, labels=labels, units=units, ax=figure.add_subplot())
         return figure
-    figure = new_figure(12.0, 5.4)
+    figure = new_figure(12.0, 5.4) if figure is None else figure
     panels: Any = figure.subfigures(1, 2, width_ratios=[1.2, 1.0])
     left, right = panels
     ax = plot_runs(runs, bounds=bounds, labels=labels or ["run"], units=units, ax=left.add_subplot())
@@ -208,9 +205,9 @@ def plot_snap_voltages(
         for level, dash, colour, label in levels:
             ax.axhline(read(level, "voltage"), linestyle=dash, color=colour, linewidth=0.9, label=label)
     ax.set_xscale("log")
-    volts = "H√(μ/ε)" if units is None else "V"
+    volts = mathtext("H√(μ/ε)") if units is None else "V"
     unit = f"{volts}/{time_unit}" if time_unit else volts if units is None else f"{volts} per unit of time"
-    ax.set_xlabel(f"Rate dΦ/dt / ({unit})")
+    ax.set_xlabel(labelled("rate", "dΦ/dt", f"({unit})", dimensionless=False))
     ax.set_ylabel(axis_label("voltage", units).replace("Voltage", "Voltage at the snap"))
     ax.legend(frameon=False)
     return ax

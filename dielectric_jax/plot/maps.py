@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..model import REGIME_COLOURS, PointKind, Regime
-from .drawing import axis_label, parameter_axis
+from .drawing import axis_label, new_axes, parameter_axis
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,12 +29,10 @@ def plot_regime_map(data: Any, *, ax: Axes | None = None, designs: Any = (), leg
     Returns:
         The axes.
     """
-    import matplotlib.pyplot as plt
     from matplotlib.colors import BoundaryNorm, ListedColormap
     from matplotlib.patches import Patch
 
-    ax = plt.subplots(figsize=(6.4, 4.8), layout="constrained")[1] if ax is None else ax
-    assert ax is not None
+    ax = new_axes(ax, 6.4)
     units = data.scene.units
     labels, factors = zip(*(parameter_axis(name, units) for name in data.names), strict=True)
     x, y = (values * factor for values, factor in zip(data.values, factors, strict=True))
@@ -89,10 +87,7 @@ def plot_fold_curves(data: Any, *, ax: Axes | None = None, legend: bool = True) 
     Returns:
         The axes. Folds beyond electric breakdown are dotted.
     """
-    import matplotlib.pyplot as plt
-
-    ax = plt.subplots(figsize=(6.4, 4.8), layout="constrained")[1] if ax is None else ax
-    assert ax is not None
+    ax = new_axes(ax, 6.4)
     styles = {
         "folds": {"color": "#0072B2", "linewidth": 1.6},
         "folds beyond breakdown": {"color": "#0072B2", "linewidth": 1.0, "linestyle": ":"},

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..model import AbstractBreakdown, AbstractMaterial, VHBBreakdown, field_on, largest_load, stresses, window_end
-from .drawing import COLOURS, new_figure
+from .drawing import COLOURS, axis_label, labelled, mathtext, new_figure, voltage_label
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -97,19 +97,19 @@ def plot_material(
     tension, balloon, film, energy = panels.ravel()
     for (name, values), colour in zip(tension_curves(material, stretch).items(), COLOURS, strict=False):
         tension.plot(stretch, stress * values, "--" if name == "pure shear" else "-", color=colour, label=name)
-    tension.set(xlabel="Stretch λ₁", ylabel="Nominal stress s₁ / " + ("μ" if units is None else "kPa"))
+    tension.set(xlabel=labelled("stretch", "λ₁"), ylabel=axis_label("nominal_stress", units))
     tension.legend(frameon=False)
     for voltage, colour in zip((0.0, 0.1, 0.2), COLOURS, strict=False):
-        words = f"Φ = {volt * voltage:.3g}" + ("" if units is None else " kV")
+        words = voltage_label(volt * voltage, units)
         balloon.plot(stretch, balloon_pressure(material, stretch, voltage), color=colour, label=words)
-    balloon.set(xlabel="Stretch λ of a spherical balloon", ylabel="Pressure p R₀ / (μH)")
+    balloon.set(xlabel=f"Stretch {mathtext('λ')} of a spherical balloon", ylabel=labelled("pressure", "p", "μH/R₀"))
     balloon.set_ylim(bottom=0)
     balloon.legend(frameon=False)
     held = np.sqrt(np.maximum(largest_load(material, stretch), 0))
     broken = field_on(breakdown, stretch) / stretch**2
     film.plot(stretch, volt * held, color=COLOURS[0], label="equilibrium of a free film")
     film.plot(stretch, volt * broken, "--", color=COLOURS[5], label="breakdown")
-    film.set(xlabel="Stretch λ (equal-biaxial)", ylabel="Voltage Φ / " + ("(H√(μ/ε))" if units is None else "kV"))
+    film.set(xlabel=f"Stretch {mathtext('λ')} (equal-biaxial)", ylabel=axis_label("voltage", units))
     film.set_ylim(0, 1.3 * volt * float(held.max()))
     film.legend(frameon=False)
     _energy_panel(energy, material, end)
@@ -124,5 +124,5 @@ def _energy_panel(ax: Any, material: AbstractMaterial, end: float) -> None:
     inside = np.asarray(material.admissible(one, other)) & (values > 0)
     logs = np.where(inside, np.log10(np.where(inside, values, 1.0)), np.nan)
     filled = ax.contourf(one, other, logs, levels=14, cmap="cividis")
-    ax.figure.colorbar(filled, ax=ax, label="log₁₀(W/μ)")
-    ax.set(xlabel="Stretch λ₁", ylabel="Stretch λ₂", aspect="equal")
+    ax.figure.colorbar(filled, ax=ax, label=r"$\log_{10}(W/μ)$")
+    ax.set(xlabel=labelled("stretch", "λ₁"), ylabel=labelled("stretch", "λ₂"), aspect="equal")

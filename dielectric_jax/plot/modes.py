@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..model import Profile
-from .drawing import new_axes, new_figure, sequence
+from .drawing import labelled, mathtext, new_axes, new_figure, sequence, voltage_label
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,7 +35,7 @@ def plot_mode(profile: Profile, shape: Any, *, amplitude: float = 0.15, ax: Axes
     >>> state = dj.equilibrium(film, pressure=1.0)
     >>> spectrum = dj.mode_spectrum(film, state, numbers=[2], count=1)
     >>> plot_mode(dj.profile(film, state), spectrum.shape(2)).get_title()
-    'n = 2, Λ = 14'
+    '$n$ = 2, $Λ$ = 14'
     """
     if not 0 < amplitude <= 1:
         raise ValueError(f"`amplitude` must lie between 0 and 1, but is {amplitude!r}.")
@@ -60,7 +60,7 @@ def plot_mode(profile: Profile, shape: Any, *, amplitude: float = 0.15, ax: Axes
     )
     surface.set_aspect("equal")
     surface.set_axis_off()
-    ax.set_title(f"n = {shape.number}, Λ = {shape.eigenvalue:.4g}")
+    ax.set_title(f"{mathtext('n')} = {shape.number}, {mathtext('Λ')} = {shape.eigenvalue:.4g}")
     return ax
 
 
@@ -71,7 +71,7 @@ def plot_spectra(spectra: Any, *, labels: Sequence[str] = (), ax: Axes | None = 
     """
     ax = new_axes(ax)
     many = list(spectra) if isinstance(spectra, Sequence) else [spectra]
-    names = list(labels) or [f"Φ = {s.state.voltage:.4g}" for s in many]
+    names = list(labels) or [voltage_label(s.state.voltage) for s in many]
     for spectrum, name, colour in zip(many, names, sequence(len(many)), strict=True):
         values, numbers = spectrum.eigenvalues[:, 0], np.asarray(spectrum.numbers)
         ax.plot(numbers, values, "-", linewidth=1.0, color=colour, label=name)
@@ -79,7 +79,7 @@ def plot_spectra(spectra: Any, *, labels: Sequence[str] = (), ax: Axes | None = 
             ax.plot(numbers[own], values[own], "o", color=colour, markerfacecolor=fill, markersize=4)
     ax.axhline(0.0, color="0.5", linewidth=0.8)
     ax.set_yscale("symlog", linthresh=1.0)
-    ax.set_xlabel("circumferential number n")
-    ax.set_ylabel("lowest eigenvalue Λ, μ/(ρA²)")
+    ax.set_xlabel(labelled("circumferential number", "n"))
+    ax.set_ylabel(labelled("lowest eigenvalue", "Λ", "μ/(ρA²)"))
     ax.legend(frameon=False)
     return ax

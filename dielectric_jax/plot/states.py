@@ -13,7 +13,7 @@ from .drawing import axis_label, new_axes, sequence
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["breakdown_latitudes", "plot_cross_section", "plot_distribution"]
+__all__ = ["add_colour_bar", "breakdown_latitudes", "plot_cross_section", "plot_distribution"]
 
 _LATITUDE = "#D55E00"
 _DASHES = ("-", (0, (5, 1.5)), (0, (2, 1.2)), (0, (6, 1.5, 1.5, 1.5)))
@@ -89,7 +89,7 @@ def plot_cross_section(
         lines.set_clim(low, high)
         ax.add_collection(lines)
         if colourbar:
-            ax.figure.colorbar(lines, ax=ax, label=axis_label(str(colour_by), units), shrink=0.8)
+            add_colour_bar(ax, str(colour_by), units, shrink=0.8)
     width, top = float(shown.r.max()), float(height.max())
     for latitude in breakdown_latitudes(profile):
         r, h = (float(np.interp(latitude, profile.radius, v)) for v in (shown.r, height))
@@ -121,6 +121,24 @@ def _dimensions(ax: Axes, shown: Profile, height: np.ndarray, room: float, unit:
         ax.text(0.15 * room, 0.55 * top if abs(level - 0.55 * top) > room else 0.75 * top, f"{top:.3g}{unit}", **words)
     ax.annotate("", xy=(r, level), xytext=(-r, level), arrowprops=style)
     ax.text(-0.95 * r, level + 0.15 * room, f"{2 * r:.3g}{unit}", va="bottom", **words)
+
+
+def add_colour_bar(ax: Axes, name: str, units: Any = None, *, beside: Any = None, **place: Any) -> Any:
+    """Adds the colour bar of a cross-section, with a line at E/E_EB = 1 in the colour of the latitude of breakdown; returns it.
+
+    Args:
+        ax: the axes of the cross-section.
+        name: the quantity that the colours show.
+        units: the units of the label.
+        beside: the axes whose space it takes; `ax` when None.
+        place: options of matplotlib's `colorbar`.
+    """
+    (lines,) = ax.collections
+    bar = ax.figure.colorbar(lines, ax=ax if beside is None else beside, label=axis_label(name, units), **place)
+    low, high = lines.get_clim()
+    if name == "breakdown_ratio" and low < 1 < high:
+        bar.ax.axhline(1.0, color=_LATITUDE, linewidth=2.0)
+    return bar
 
 
 def plot_distribution(

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..model import REGIME_COLOURS
 from ..numerics import need
-from ..plot import COLOURS
+from ..plot import COLOURS, labelled
 from .resolution import TABLE_ROWS
 
 if TYPE_CHECKING:
@@ -190,10 +190,16 @@ def plot_sweep(data: Any, variable: str, *, x: str, y: str, ax: Axes | None = No
 
 def _label(variable) -> str:
     words = variable.attrs.get("long_name", str(variable.name))
-    unit = variable.attrs.get("counted_in", variable.attrs.get("units", "1"))
-    plain = unit.replace("mu", "μ").replace("epsilon", "ε").replace("sqrt", "√").replace("^2", "²").replace("^3", "³")
-    text = words[:1].upper() + words[1:]
-    return text if unit == "1" else f"{text} / ({plain})" if " " in plain else f"{text} / {plain}"
+    symbols = {"mu": "μ", "epsilon": "ε", "sqrt": "√", "^2": "²", "^3": "³", " ": ""}
+    unit = variable.attrs.get("counted_in", "1")
+    for ascii_name, symbol in symbols.items():
+        unit = unit.replace(ascii_name, symbol)
+    si = variable.attrs.get("units", "1")
+    return (
+        labelled(words, unit=unit)
+        if unit != "1"
+        else labelled(words, unit="" if si == "1" else si, dimensionless=False)
+    )
 
 
 def export_sweep(data, path, *, variables: Sequence[str] | None = None) -> None:

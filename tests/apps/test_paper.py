@@ -23,13 +23,14 @@ def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("paper") / "out"
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("DIELECTRIC_JAX_CACHE", "off")
-        assert main(["paper", "--output", str(folder), "--only", "5"]) == 0
+        assert main(["paper", "--output", str(folder), "--only", "5", "--dpi", "60"]) == 0
     return folder
 
 
 def test_what_is_written(made):
     assert {p.name for p in made.iterdir()} == {"figure_5.png", "figure_5.json", "statements.md"}
-    assert (made / "figure_5.png").read_bytes().startswith(PNG)
+    data = (made / "figure_5.png").read_bytes()
+    assert data.startswith(PNG) and int.from_bytes(data[16:20]) == 432  # 7.2 inches
     (held,) = json.loads((made / "figure_5.json").read_text())["diagrams"]
     assert held["scene"]["pressure"] == 1.82
 
@@ -61,7 +62,7 @@ def test_a_row_of_panels(known):
     """The letters of figure 8 are at the states of the model's section 4."""
     figure = paper_figures.FIGURES["8"](known)
     left, right = figure.axes
-    assert [ax.get_title(loc="left") for ax in (left, right)] == ["(a)  V_C = 1600, V₀ = 2.42", "(b)"]
+    assert [ax.get_title(loc="left") for ax in (left, right)] == [r"(a)  $V_{\mathrm{C}}$ = 1600, $V_0$ = 2.42", "(b)"]
     places = {text.get_text(): text.xy for text in right.texts if text.get_text() in set("ABCD")}
     assert places["B"][1] == pytest.approx(0.0764953595449, rel=1e-9)
     assert places["C"] == pytest.approx((19.9533292542, 0.0764953595449), rel=1e-9)
@@ -93,6 +94,9 @@ def test_numbers_of_statements(statements):
     assert chamber["snap_voltage"] == pytest.approx(0.0764953595449, rel=1e-9)
     assert chamber["landing_volume"] == pytest.approx(19.9533292542, rel=1e-9)
     assert chamber["landing_ratio"] == pytest.approx(0.568782, abs=1e-6)
+    expansion = numbers(statements, "13")
+    assert expansion["model_percent"] == pytest.approx(1612, abs=0.5)
+    assert expansion["measured_percent"] == pytest.approx(1689.29, abs=0.01)
     assert chamber["stable_volume_1"] == pytest.approx(11.7561689651, rel=1e-9)
 
 
@@ -120,6 +124,39 @@ def test_figures_that_are_not_computed(tmp_path, capsys, only, value):
     assert not list(tmp_path.iterdir())
     with pytest.raises(ValueError, match="`only` must be numbers"):
         dj.apps.reproduce(tmp_path, only)
+
+
+@pytest.mark.parametrize("kind", ["pdf", "svg"])
+def test_lines_and_text_stay_lines_and_text(tmp_path, monkeypatch, kind):
+    """Both formats count in points: 7.2 inches are 518.4."""
+
+    def empty(_):
+        figure = plt.figure(figsize=(7.2, 2.0))
+        figure.text(0.5, 0.5, "Volume")
+        return figure
+
+    monkeypatch.setattr(paper, "FIGURES", {"5": empty})
+    monkeypatch.setattr(paper, "STATEMENTS", {"5": lambda _: []})
+    assert dj.apps.reproduce(tmp_path, [5], format=kind) == []
+    text = (tmp_path / f"figure_5.{kind}").read_bytes()
+    assert b"518.4" in text and (b"CIDFontType2" if kind == "pdf" else b"Volume</text>") in text
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--format", "tiff"], "--format must be pdf, png or svg, but is 'tiff'."),
+        (["--dpi", "7"], "--dpi must be a whole number from 30 to 1200, but is '7'."),
+        (["--dpi", "many"], "--dpi must be a whole number from 30 to 1200, but is 'many'."),
+        (["--format", "pdf", "--dpi", "300"], "--dpi must be given with --format png only, but the format is pdf."),
+    ],
+)
+def test_formats_and_resolutions_that_are_refused(tmp_path, capsys, options, said):
+    assert main(["paper", "--output", str(tmp_path), *options]) == 2
+    assert capsys.readouterr().err == f"dielectric-jax: {said}\n"
+    for given in ({"format": "tiff"}, {"dpi": 7}, {"dpi": True}, {"format": "pdf", "dpi": 300}):
+        with pytest.raises(ValueError, match=r"^`(format|dpi)` must be "):
+            dj.apps.reproduce(tmp_path, **given)
 
 
 def test_a_folder_that_cannot_be(capsys):

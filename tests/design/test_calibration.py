@@ -328,7 +328,7 @@ def test_the_figure_shows_measurement_fit_and_residuals(exact):
     figure = found.plot()
     upper, lower = figure.axes
     np.testing.assert_allclose(upper.lines[0].get_ydata(), exact[1] / 100)
-    assert upper.get_ylabel() == "Pressure p / mbar" and lower.get_xlabel() == "Volume V / ml"
+    assert upper.get_ylabel() == "Pressure $p$ / mbar" and lower.get_xlabel() == "Volume $V$ / ml"
     # the fit is a smooth curve, here through exact points
     x, y = upper.lines[1].get_data()
     assert len(x) > 100 and x[[0, -1]] == pytest.approx(exact[0][[0, -1]] * 1e6)

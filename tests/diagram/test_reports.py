@@ -47,6 +47,14 @@ def test_numbers_are_those_of_the_paper_in_its_units(si):
     assert "<p>The membrane snaps" in si._repr_html_() and "kV" in si._repr_html_()
 
 
+def test_a_report_draws_on_the_axes_given(si):
+    figure = matplotlib.figure.Figure()
+    ax = figure.add_subplot()
+    assert si.plot(ax=ax) is ax and ax.get_ylabel() == "Voltage $Φ$ / kV"
+    with pytest.raises(ValueError, match="`ax` must be left out with `shapes`"):
+        si.plot(ax=ax, shapes=True)
+
+
 def test_other_ways_of_loading():
     charged = dj.report(dj.Scene(dj.Membrane(), dj.ChargeControl(SCENES["stays"])))
     assert (

@@ -175,7 +175,7 @@ def test_a_scene_in_si_gives_the_same_answers_in_si():
     curves = dj.fold_curves(made, "chamber_volume", (450 * VOLUME, 600 * VOLUME), kinds=("fold",), samples=3)
     cusps = [p.parameter for p in curves.named("cusp")]
     assert cusps == pytest.approx([484.04966 * VOLUME, 551.39914 * VOLUME], rel=1e-6)
-    assert curves.plot().get_xlabel() == "Chamber volume V_C / L"
+    assert curves.plot().get_xlabel() == r"Chamber volume $V_{\mathrm{C}}$ / L"
     state = dj.equilibrium(made, voltage="2 kV")
     assert state.volume == dj.equilibrium(made, voltage=2e3).volume
     assert state.volume == pytest.approx(dj.equilibrium(FREE, voltage=2e3 / VOLTAGE).volume, rel=1e-9)
@@ -315,11 +315,11 @@ def test_figures_in_units(chamber, curve):
     diagram = chamber(1600.0)
     figure = plot_chamber(diagram, [curve(0.0)], units=dj.Units())
     left, right = figure.axes
-    assert left.get_ylabel() == "Pressure p / mbar" and right.get_ylabel() == "Voltage Φ / kV"
-    assert right.get_xlabel() == "Volume V / ml"
+    assert left.get_ylabel() == "Pressure $p$ / mbar" and right.get_ylabel() == "Voltage $Φ$ / kV"
+    assert right.get_xlabel() == "Volume $V$ / ml"
     (snap,) = [line for line in right.lines if len(line.get_xdata()) == 60]
     assert snap.get_ydata()[0] == pytest.approx(SNAP * VOLTAGE / 1e3, rel=1e-9)
-    assert "Φ = 0 kV" in [text.get_text() for text in left.get_legend().get_texts()]
+    assert "$Φ$ = 0 kV" in [text.get_text() for text in left.get_legend().get_texts()]
     # the line of the air ends at the right limit, 24 mbar or so below its start: Boyle's law in SI by hand
     air = max(left.lines, key=lambda line: len(line.get_xdata()) == 400)
     volume, pressure = np.asarray(air.get_xdata()) * 1e-6, np.asarray(air.get_ydata()) * 100
@@ -328,8 +328,8 @@ def test_figures_in_units(chamber, curve):
     carried = dataclasses.replace(
         diagram, scene=dj.Scene(diagram.scene.membrane, diagram.scene.loading, units=dj.Units())
     )
-    assert carried.plot().axes[0].get_ylabel() == "Voltage Φ / kV"
-    assert plot_pressure_volume(curve(0.0)).get_ylabel() == "Pressure p A / (μH)"
+    assert carried.plot().axes[0].get_ylabel() == "Voltage $Φ$ / kV"
+    assert plot_pressure_volume(curve(0.0)).get_ylabel() == "Pressure $p$ / ($μH/A$)"
 
 
 def answer(capsys, *argv):

@@ -138,7 +138,7 @@ def test_shapes_are_normalised_and_clamped(membrane):
         )
     assert spectrum.shape(4).radial[0] == pytest.approx(0.0, abs=1e-12)
     ax = dj.plot.plot_mode(dj.profile(membrane, state), spectrum.shape(4), amplitude=0.2)
-    assert ax.get_title().startswith("n = 4, Λ = ")
+    assert ax.get_title().startswith("$n$ = 4, $Λ$ = ")
     (line, *_) = dj.plot.plot_spectra(spectrum).lines
     assert line.get_ydata().tolist() == spectrum.eigenvalues[:, 0].tolist()
     with pytest.raises(ValueError, match="`amplitude` must lie between 0 and 1"):

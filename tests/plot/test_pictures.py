@@ -39,9 +39,9 @@ def test_a_cross_section(balloon):
     np.testing.assert_allclose(points[:, 0], -points[::-1, 0], atol=1e-12)
     ratio = balloon.breakdown_ratio
     assert lines.get_clim() == (ratio.min(), ratio.max())
-    assert [ax.get_xlabel(), ax.get_ylabel()] == ["Radius r / mm", "Height / mm"]
+    assert [ax.get_xlabel(), ax.get_ylabel()] == ["Radius $r$ / mm", "Height / mm"]
     assert f"{millimetre * balloon.z[-1]:.3g} mm" in [t.get_text() for t in ax.texts]
-    assert figure.axes[1].get_ylabel() == "Breakdown ratio E/E_EB"
+    assert figure.axes[1].get_ylabel() == r"Breakdown ratio $E/E_{\mathrm{EB}}$"
     alone = dj.plot.plot_cross_section(balloon, colour_by=None, reference=False, dimensions=False)
     assert len(alone.lines) == 1 and not alone.collections
     with pytest.raises(ValueError, match=r"`quantity` must be one of radius, r, .* but is 'colour'"):
@@ -66,10 +66,10 @@ def test_distributions(balloon):
     one, two = ax.lines
     np.testing.assert_array_equal(one.get_ydata(), balloon.stretch_1)
     np.testing.assert_array_equal(two.get_ydata(), balloon.stretch_2)
-    assert one.get_linestyle() != two.get_linestyle() and ax.get_ylabel() == "Stretch λ"
+    assert one.get_linestyle() != two.get_linestyle() and ax.get_ylabel() == "Stretch $λ$"
     ax = dj.plot.plot_distribution([balloon, balloon], "stress_1", units=dj.Units(), labels=["a", "b"])
     np.testing.assert_allclose(ax.lines[0].get_ydata(), 45 * balloon.stress_1, rtol=1e-12)
-    assert ax.get_ylabel() == "Meridional stress σ₁ / kPa"
+    assert ax.get_ylabel() == "Meridional stress $σ_1$ / kPa"
     assert [t.get_text() for t in ax.get_legend().get_texts()] == ["a", "b"]
     with pytest.raises(ValueError, match="`labels` must be one for each of 1 profiles, but are 2"):
         dj.plot.plot_distribution(balloon, labels=["a", "b"])
@@ -115,7 +115,7 @@ def test_a_loop_and_a_film(chamber, tmp_path):
     diagram = chamber(800.0)
     _, ax = plt.subplots()
     assert dj.plot.plot_ramp(diagram, ax=ax, units=dj.Units()) is ax
-    assert ax.get_ylabel() == "Voltage Φ / kV"
+    assert ax.get_ylabel() == "Voltage $Φ$ / kV"
     assert max(max(line.get_ydata()) for line in ax.lines) == pytest.approx(0.115172761046 * 32.88422182218, rel=1e-8)
     film = dj.plot.animate_ramp(diagram, tmp_path / "ramp.gif", frames=3)
     with Image.open(film) as picture:

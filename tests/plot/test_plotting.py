@@ -10,15 +10,18 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
+import dielectric_jax as dj
 from dielectric_jax.model.records import Branch, Event, SpecialPoint, State
 from dielectric_jax.numerics.codes import Code
 from dielectric_jax.plot.diagrams import (
     chamber_voltages,
     plot_chamber,
     plot_diagram,
+    plot_membrane_curves,
     plot_pressure_volume,
     plot_voltage_volume,
 )
+from dielectric_jax.plot.drawing import seen_entries
 
 SNAP_Q, DIP_Q = 0.006, -0.002
 
@@ -92,6 +95,7 @@ def voltage_diagram():
         area_strain=3.0,
         area_strain_reason="breakdown on the branch",
         scene=types.SimpleNamespace(loading=loading),
+        voltage=None,
         complete=True,
         gas_pressure=lambda v: 1.9 - 0.03 * v,
     )
@@ -146,6 +150,27 @@ def test_a_given_ax_is_drawn_on_and_none_makes_one():
     assert plot_pressure_volume(pressure_diagram(0.0), ax=ax) is ax
     assert plot_pressure_volume(pressure_diagram(0.0)) is not ax
 
+    before = plt.get_fignums()
+    for diagram in (voltage_diagram(), pressure_diagram(0.0)):
+        _, ax = plt.subplots()
+        assert plot_diagram(diagram, ax=ax) is ax and len(curves_of(ax)) > 0
+    assert len(plt.get_fignums()) == len(before) + 2
+    with pytest.raises(ValueError, match="`ax` must be left out where `curves` is given"):
+        plot_diagram(voltage_diagram(), [pressure_diagram(0.0)], ax=ax)
+
+
+def test_a_notebook_shows_a_figure_once_and_scripts_can_show_it():
+    nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
+    pytest.importorskip("ipykernel")
+    made = "figure = dj.plot.new_figure(3.0)\naxes = figure.add_subplot()"
+    cells = ["import dielectric_jax as dj", made, f"{made}\nfigure", f"{made}\naxes.plot([0, 1])"]
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(source) for source in cells])
+    nbclient.NotebookClient(notebook, timeout=120, kernel_name="python3").execute()
+    pictures = [sum("image/png" in output.get("data", ()) for output in cell.outputs) for cell in notebook.cells]
+    assert pictures == [0, 1, 1, 1]
+    figure = dj.plot.new_figure(3.0)
+    assert plt.figure(figure.number) is figure
+
 
 def test_stable_is_solid_unstable_dashed_and_they_meet_at_the_fold():
     ax = plot_voltage_volume(voltage_diagram())
@@ -176,7 +201,7 @@ def test_states_no_voltage_reaches_are_left_out_and_the_curve_starts_at_zero():
 
 def test_pale_beyond_breakdown():
     ax = plot_voltage_volume(voltage_diagram())
-    pale = [line for line in curves_of(ax) if line.get_alpha() == 0.35]
+    pale = [line for line in curves_of(ax) if line.get_alpha() == 0.45]
     assert pale
     for line in pale:
         inside = np.asarray(line.get_xdata())[1:-1]
@@ -202,11 +227,111 @@ def test_snap_is_an_arrow_level_in_voltage():
 
 def test_labels_are_words_with_symbols():
     ax = plot_voltage_volume(voltage_diagram())
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("Volume V / A³", "Voltage Φ / (H√(μ/ε))")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("Volume $V$ / $A^3$", r"Voltage $Φ$ / ($H\sqrt{μ/ε}$)")
     ax = plot_pressure_volume([pressure_diagram(0.0), pressure_diagram(0.1)])
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("Volume V / A³", "Pressure p A / (μH)")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("Volume $V$ / $A^3$", "Pressure $p$ / ($μH/A$)")
     words = [t.get_text() for t in ax.get_legend().get_texts()]
-    assert words[:2] == ["Φ = 0", "Φ = 0.1"] and "unstable" in words
+    assert words[:2] == ["$Φ$ = 0", "$Φ$ = 0.1"] and "unstable" in words
+
+
+@pytest.mark.parametrize(
+    "loading", [dj.ConstantPressure(1.0), dj.Chamber(volume=100.0, initial_volume=2.0), dj.PrescribedVolume(2.0)]
+)
+def test_curves_are_dashed_where_the_loading_lets_them_snap(loading):
+    """p = 2 − a(V − 3)² falls beyond its peak; a chamber holds it until the slope −2a(V − 3) reaches −(p + 50)/(V + 100)."""
+    a, volume = 0.05, np.linspace(0.5, 9.0, 400)
+    branch = branch_of(volume, 0 * volume, (volume > 3).astype(int), pressure=2 - a * (volume - 3) ** 2)
+    curve = types.SimpleNamespace(kind="pressure-volume", scene=None, voltage=0.0, branches=[branch], special_points=[])
+    _, ax = plt.subplots()
+    diagram = types.SimpleNamespace(scene=types.SimpleNamespace(loading=loading))
+    plot_membrane_curves(diagram, [curve], ["red"], ax=ax)
+    dashed = [line for line in curves_of(ax) if is_dashed(line)]
+    if isinstance(loading, dj.PrescribedVolume):
+        assert not dashed
+        return
+    # 2a(V − 3)(V + 100) = 52 − a(V − 3)²
+    turn = 3.0 if isinstance(loading, dj.ConstantPressure) else max(np.roots([3 * a, 188 * a, -591 * a - 52]))
+    (line,) = dashed
+    assert line.get_xdata()[0] == pytest.approx(turn, abs=0.03)
+    assert [word for _, word in seen_entries(ax)] == ["stable", "unstable"]
+
+
+def test_a_legend_explains_what_is_in_view():
+    ax = plot_voltage_volume(voltage_diagram())
+    words = {text.get_text() for text in ax.get_legend().get_texts()}
+    assert {"stable", "unstable", "snap", "landing", "breakdown of the ramp"} <= words
+    ax.set_xlim(2.5, 3.5)
+    assert [word for _, word in seen_entries(ax)] == ["stable"]
+
+
+def test_two_events_of_one_state_are_both_seen():
+    diagram = voltage_diagram()
+    start, snap, landing, _, *down = diagram.events
+    broken = Event("breakdown", "up", landing.state, "breakdown in the snap")
+    diagram.events = (start, snap, landing, broken, *down)
+    ax = plot_voltage_volume(diagram)
+    ring, cross = (next(k for k in ax.lines if k.get_marker() == m and k.get_zorder() != 4) for m in "DX")
+    assert ring.get_markersize() > cross.get_markersize() + 2 and ring.get_zorder() < cross.get_zorder()
+    assert ring.get_markerfacecolor() == "white" != cross.get_markerfacecolor()
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "relation"),
+    [
+        ("apex_stretch", "volume", lambda x: (x - 1) ** 2),
+        ("height", "volume", lambda x: x ** (1 / 0.3)),
+        ("volume", "voltage_squared", load),
+        ("breakdown_ratio", "charge", lambda x: 1.6 * x),
+        ("pressure", "voltage", lambda x: np.sqrt(load((1.9 - x) / 0.03))),
+    ],
+)
+def test_any_column_against_any_other(x, y, relation):
+    """The columns of the synthetic branch are functions of its volume, and so of each other."""
+    _, ax = plt.subplots()
+    diagram = voltage_diagram()
+    diagram.branches, diagram.special_points = diagram.branches[:1], diagram.special_points[:-1]
+    assert plot_diagram(diagram, x=x, y=y, ax=ax) is ax
+    lines = [line for line in curves_of(ax) if line.get_color() == "#0072B2"]
+    drawn = np.concatenate([np.asarray(line.get_xydata(), float) for line in lines])
+    own = np.stack([getattr(diagram.branches[0], name) for name in (x, y)], axis=1)
+    own = own[(diagram.branches[0].voltage_squared > 0) & np.isfinite(own).all(axis=1)]
+    np.testing.assert_allclose(own[:, 1], relation(own[:, 0]), rtol=1e-9)
+    for place in own:
+        assert np.nanmin(np.abs(drawn - place).max(axis=1)) < 1e-12
+    markers = [line.get_xydata()[0] for line in ax.lines if line.get_marker() == "o" and line.get_zorder() == 4]
+    folds = [
+        (p.volume, q)
+        for p, q in zip(diagram.special_points[:2], (SNAP_Q, DIP_Q), strict=True)
+        if q > 0 or "squared" in y
+    ]
+    wanted = [[float(getattr(state(v, q), name)) for name in (x, y)] for v, q in folds]
+    np.testing.assert_allclose([m for m in markers if np.isfinite(m).all()][: len(wanted)], wanted, rtol=1e-12)
+
+
+def test_columns_carry_their_units():
+    units = dj.Units()
+    ax = plot_diagram(voltage_diagram(), x="volume", y="voltage", units=units)
+    (left,) = ax.axes
+    assert (left.get_xlabel(), left.get_ylabel()) == ("Volume $V$ / ml", "Voltage $Φ$ / kV")
+    top = max(np.nanmax(line.get_ydata()) for line in left.lines if line.get_marker() == "X")
+    assert top == pytest.approx(units.read(1.0, "voltage") * np.sqrt(load(17.6)), rel=1e-9)
+    counted = plot_diagram(voltage_diagram(), x="volume", y="index").axes[0]
+    assert counted.get_ylabel() == "Number of unstable directions"
+    assert {float(v) for line in counted.lines for v in line.get_ydata()} <= {0.0, 0.5, 1.0}
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"x": "volume"}, "`x` and `y` must be given together, but `y` is missing"),
+        ({"x": "volume", "y": "speed"}, "`y` must be one of voltage, voltage_squared, pressure, .* but is 'speed'"),
+        ({"x": "volume", "y": "volume"}, "`x` and `y` must be two columns, but both are 'volume'"),
+        ({"x": "volume", "y": "pressure", "curves": [0]}, "`curves` must be left out where `x` and `y` are given"),
+    ],
+)
+def test_columns_that_are_refused(given, said):
+    with pytest.raises(ValueError, match=said):
+        plot_diagram(voltage_diagram(), **given)
 
 
 def test_gas_line_is_the_function_given():

@@ -88,7 +88,7 @@ def test_pictures(ramps):
     assert [t.get_text() for t in ax.get_legend().get_texts()] == ["at rest", "dashpots frozen", "0.01"]
     assert len(dj.plot.plot_courses(run).axes) == 3
     figure = dj.plot.plot_follow([run], bounds=bounds, units=dj.Units())
-    assert figure.axes[0].get_xlabel() == "Volume V / ml" and len(figure.axes) == 4
+    assert figure.axes[0].get_xlabel() == "Volume $V$ / ml" and len(figure.axes) == 4
 
 
 def test_the_picture_of_snaps_over_the_rate(ramps):

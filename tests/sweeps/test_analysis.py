@@ -87,7 +87,7 @@ def test_maps_over_two_parameters(data):
     ax = dj.sweeps.plot_sweep(data, "regime", x="chamber_volume", y="initial_volume")
     assert [t.get_text() for t in ax.get_legend().get_texts()] == ["stays", "returns"]
     assert ax.get_xscale() == "log" and ax.get_yscale() == "linear"
-    assert ax.get_xlabel() == "Chamber volume / A³"
+    assert ax.get_xlabel() == "Chamber volume / $A^3$"
     mesh = ax.collections[0]
     assert mesh.get_array().shape == (4, 5) and np.array_equal(mesh.get_array()[0], data.regime[:, 0])
     # cells of different regimes have different colours
