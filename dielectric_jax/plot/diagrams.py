@@ -291,9 +291,9 @@ def plot_chamber_curves(
     """
     _require_kind(diagram, "voltage-volume")
     ax = new_axes(ax)
-    colours = sequence(len(curves))
-    plot_membrane_curves(diagram, curves, colours, ax=ax, units=units)
+    colours, computed = sequence(len(curves)), diagram
     diagram, units = viewed(diagram, units)
+    plot_membrane_curves(computed, curves, colours, ax=ax, units=units)  # curves may carry no units of their own
     _label(ax, "pressure", units)
     curves = [viewed(c, units)[0] for c in curves]
     held = _held_volume(diagram)

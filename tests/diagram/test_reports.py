@@ -2,6 +2,7 @@
 
 import matplotlib
 import matplotlib.pyplot
+import numpy as np
 import pytest
 
 import dielectric_jax as dj
@@ -87,6 +88,13 @@ def test_pictures(si):
     figure = si.plot(shapes=True, points=40)
     above, below = figure.subfigs
     assert [ax.get_title().split("\n")[0] for ax in below.axes] == ["start", "snap", "landing", "breakdown"]
+    # the curve at zero voltage passes through the start, 27.565 ml at 37.73 mbar
+    start = si.diagram.scene.units.read(si.diagram.ramp().events[0].state)
+    drawn = [
+        line.get_data() for line in above.axes[0].lines if line.get_color() != "black" and len(line.get_xdata()) > 9
+    ]
+    apart = [np.hypot(x / start.volume - 1, y / start.pressure - 1) for x, y in drawn]
+    assert min(map(np.nanmin, apart)) < 0.05
     labels = [text.get_text() for text in above.axes[1].get_legend().get_texts()]
     assert "fold" in labels and "hoop tension lost" not in labels  # which lies outside the frame
     assert dj.report(dj.Scene(dj.Membrane(), dj.ConstantVoltage(0.0))).plot().axes
