@@ -56,7 +56,7 @@ _POINTS = {
 _QUANTITIES = {
     "voltage": "The voltage Φ across the film: in units of H√(μ/ε), or in the unit that the table names.",
     "voltage_squared": "The electrostatic load q = Φ². It is negative on parts of branches that no voltage reaches.",
-    "pressure": "The pressure p inside above that outside: in units of μH/A, or in the unit that the table names.",
+    "pressure": "The gauge pressure p (inside minus outside): in units of μH/A, or in the unit that the table names.",
     "volume": (
         "The volume V between the flat and the inflated membrane, without the chamber: in units of A³, or in the unit that the table names."
     ),
@@ -116,7 +116,7 @@ _IN_TIME = {
     "goes_slack": "In a run of `follow`: the film loses its tension before any snap.",
     "jump": "In a run of `follow`: the membrane jumps at an instantaneous fold.",
     "creep_through": "In a run of `follow`: the membrane creeps past the fold at which it would snap at rest, without a jump.",
-    "instantaneous_fold": "In a run of `follow`: no state with these internal variables exists beyond; the membrane jumps.",
+    "instantaneous_fold": "In a run of `follow`: a fold with the dashpots frozen: beyond it there is no equilibrium nearby, and the membrane jumps.",
     "fastest": "In a run of `follow`: the moment at which a creep-through is fastest.",
     "relaxed": "In a run of `follow`: the membrane starts fully relaxed: its Maxwell branches carry no stress.",
     "fresh": "In a run of `follow`: the membrane starts just after a fast inflation: its Maxwell branches have not relaxed yet.",

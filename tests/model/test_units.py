@@ -360,6 +360,8 @@ def test_the_command_line_asks_for_si(capsys):
     assert main(["equilibrium", "--volume", "1", "--radius", "0.02"]) == 2
     assert capsys.readouterr().err == "dielectric-jax: --radius must be given with --si only.\n"
     assert main(["equilibrium", "--si", "--volume", "1"]) == 2
+    assert "between 0 and 0.00518632 m³" in capsys.readouterr().err  # 455.315 of 22.5³ mm³
+    assert main(["equilibrium", "--si", "--apex-stretch", "0.5"]) == 2
     assert "These numbers are dimensionless" in capsys.readouterr().err
 
 
