@@ -103,10 +103,10 @@ class FilmCalibration:
 
     def _plot_elastic(self, axes: typing.Any) -> typing.Any:
         """Stresses over the stretch, a color for each test, with the smooth curves; below, the residuals."""
-        import matplotlib.pyplot as plt
+        from ..plot import axis_label, new_figure
 
         if axes is None:
-            _, axes = plt.subplots(2, 1, figsize=(5.5, 5.5), sharex=True, height_ratios=(3, 1), layout="constrained")
+            axes = new_figure(5.5, 5.5).subplots(2, 1, sharex=True, height_ratios=(3, 1))
         upper, lower = axes
         scale = 1.0 if self.units is None else 1e3
         lower.axhspan(-2, 2, color="0.9")
@@ -117,12 +117,12 @@ class FilmCalibration:
             upper.plot(stretch, stress / scale, "o", color=color, label=mode.replace("_", " "), markersize=4)
             upper.plot(curve[0], curve[1] / scale, "-", color=color)
             lower.plot(stretch, residual / max(self.noise, 1e-300), "o", color=color, markersize=4)
-        upper.set_ylabel("Nominal stress s/μ" if self.units is None else "Nominal stress s / kPa")
+        upper.set_ylabel(axis_label("nominal_stress", self.units))
         upper.legend(title=constants_text(self.parameters, self.units))
         lower.set_ylabel(
             "Residual / noise" if self.units is None else f"Residual / noise\n(noise {self.noise / scale:.3g} kPa)"
         )
-        lower.set_xlabel("Stretch λ")
+        lower.set_xlabel(axis_label("stretch"))
         return upper.figure
 
     def to_json(self) -> dict:

@@ -260,7 +260,7 @@ def test_heights_of_the_pole(tmp_path, capsys):
     found = dj.calibrate(height=height, pressure=pressure, units=UNITS)
     assert found.parameters == pytest.approx(TRUE, rel=1e-6)
     assert found.volume is None and found.to_json()["height"] == height.tolist()
-    assert found.plot().axes[1].get_xlabel() == "Height h / mm"
+    assert found.plot().axes[1].get_xlabel() == "Height / mm"
     rows = "".join(f"{1e3 * h:.9g};{p / 100:.9g}\n" for h, p in zip(height, pressure, strict=True))
     (tmp_path / "pole.csv").write_text("apex height [mm];pressure [mbar]\n" + rows)
     assert main(["calibrate", str(tmp_path / "pole.csv"), "--si", "--noise", "20"]) == 0
