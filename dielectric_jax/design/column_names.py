@@ -7,7 +7,7 @@ import unicodedata
 from ..model import is_unit_absolute, unit_size
 from .resolution import LONGEST_HEAD
 
-__all__ = ["Head", "is_absolute", "read_head"]
+__all__ = ["Head", "is_absolute", "read_head", "unit_of_column"]
 
 _NAMES = {
     "volume": ("volume", "vol", "volumen", "volym", "volumes", "объем", "объём", "体积", "容积", "體積", "体積"),
@@ -118,6 +118,28 @@ def _label_and_unit(text: str, quantity: str) -> tuple[str, str | None]:
     return (named[1], named[2]) if named and named[1].lower() in _NAMES[quantity] else (text, None)
 
 
+def _plain(text: str) -> str:
+    """A heading in composed letters, without marks of remarks and quotes around it."""
+    # full-width brackets and letters are those of a Chinese or Japanese keyboard
+    text = re.sub(r"[！-～]", lambda c: unicodedata.normalize("NFKC", c[0]), unicodedata.normalize("NFC", text))
+    return unicodedata.normalize("NFC", text.strip().lstrip("#%").strip().strip("\"'").strip())
+
+
+def unit_of_column(text: str, quantity: str) -> str | None:
+    """The unit in the heading of a column that is known to hold `quantity`, whatever the heading calls it; None without.
+
+    Raises ValueError as `unit_size` does.
+
+    >>> unit_of_column("Gauge 2 (mbar)", "pressure"), unit_of_column("X", "height"), unit_of_column("mm", "height")
+    ('mbar', None, 'mm')
+    """
+    if len(text) > LONGEST_HEAD:
+        return None
+    text = _plain(text)
+    unit = _label_and_unit(text, quantity)[1]
+    return text if unit is None and unit_size(text, quantity) else unit
+
+
 def read_head(text: str) -> list[Head]:
     """The possible meanings of a column's heading: no quantity, or one or more.
 
@@ -131,9 +153,7 @@ def read_head(text: str) -> list[Head]:
     found = []
     if len(text) > LONGEST_HEAD:
         return found
-    # full-width brackets and letters are those of a Chinese or Japanese keyboard
-    text = re.sub(r"[！-～]", lambda c: unicodedata.normalize("NFKC", c[0]), unicodedata.normalize("NFC", text))
-    text = unicodedata.normalize("NFC", text.strip().lstrip("#%").strip().strip("\"'").strip())
+    text = _plain(text)
     for quantity, names in _NAMES.items():
         try:
             label, unit = _label_and_unit(text, quantity)

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from ..model import example_units, unit_size
 from ..numerics import shown
-from .column_names import Head, is_absolute, read_head
+from .column_names import Head, is_absolute, read_head, unit_of_column
 
 __all__ = ["CURVES", "FILMS", "NUMBER", "Columns", "Kind", "Line", "Table", "bare", "full", "split", "table_of"]
 
@@ -322,11 +322,7 @@ def _choose(cells: list[str], wanted: Wanted) -> tuple:
         if any(len(w) != 1 for w in named):
             return (), ()
         places = tuple(w[0] for w in named)
-        heads = []
-        for quantity, i in zip(wanted.sets[0], places, strict=True):
-            own = [h for h in read_head(cells[i]) if h.quantity == quantity]
-            heads.append(dataclasses.replace(own[0], rank=0) if own else Head(quantity))
-        return places, tuple(heads)
+        return places, tuple(_head_of(cells[i], q) for q, i in zip(wanted.sets[0], places, strict=True))
     known = [(i, h) for i, c in enumerate(cells) for h in read_head(c)]
     quantities = next((own for own in wanted.sets if set(own) <= {h.quantity for _, h in known}), None)
     if quantities is None:
@@ -345,6 +341,12 @@ def _choose(cells: list[str], wanted: Wanted) -> tuple:
     return tuple(i for i, _ in chosen), tuple(h for _, h in chosen)
 
 
+def _head_of(cell: str, quantity: str) -> Head:
+    """The heading of a column that was chosen for a quantity: its unit counts, whatever name stands beside it."""
+    own = [h for h in read_head(cell) if h.quantity == quantity]
+    return dataclasses.replace(own[0], rank=0) if own else Head(quantity, unit_of_column(cell, quantity))
+
+
 def _by_place(path, lines, first: int, places: list[int], wanted: Wanted) -> Table:
     separator, width = next(_ways(lines, first))
     for place in places:
@@ -355,11 +357,9 @@ def _by_place(path, lines, first: int, places: list[int], wanted: Wanted) -> Tab
     named = [line for line in lines[:first] if not line.remark]
     if named and wanted.units is None:
         cells = _split_head(named[-1].text, separator)
-        pairs = zip(places, wanted.sets[0], strict=True)
-        own = [[h for h in read_head(cells[p - 1]) if h.quantity == q] for p, q in pairs]
-        if len(cells) >= width and all(own):
-            table = dataclasses.replace(table, heads=tuple(h[0] for h in own))
-            return _with_units(path, lines, named[-1], table, wanted)
+        if len(cells) >= width:
+            own = [_head_of(cells[p - 1], q) for p, q in zip(places, wanted.sets[0], strict=True)]
+            return _with_units(path, lines, named[-1], dataclasses.replace(table, heads=tuple(own)), wanted)
     return _with_units(path, lines, None, table, wanted)
 
 

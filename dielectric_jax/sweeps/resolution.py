@@ -10,6 +10,7 @@ __all__ = [
     "MOST_BLOCKS",
     "MOST_DEATHS",
     "MOST_SURFACES",
+    "SAME_VALUE",
     "TABLE_ROWS",
 ]
 
@@ -27,6 +28,8 @@ FAMILY_FROM = 9
 MOST_SURFACES = 8
 #: blocks of a store, of each of which it keeps a file for every variable; more are refused
 MOST_BLOCKS = 10**6
+#: relative difference of two values of an axis that are one: 9 l and 9000 ml differ by rounding
+SAME_VALUE = 1e-13
 #: values of a coordinate in one chunk of a store
 LONGEST_CHUNK = 1 << 20
 #: scenes of a table that are held together while it is written

@@ -132,18 +132,31 @@ class ZarrStore:
             yield store
 
     def damaged(self) -> list[int]:
-        """The blocks that are marked as done but whose numbers are not those that were written."""
-        sums = np.asarray(self._group["block_checksum"][:])
+        """The blocks whose numbers, or those of the scenes that were known before, are not those that were written."""
+        sums, known_sums = (np.asarray(self._group[name][:]) for name in ("block_checksum", "known_checksum"))
         found = []
-        for number in np.flatnonzero(self.done):
+        for number in range(len(self.done)):
+            if not (self.done[number] or self.known(number).any()):
+                continue
             try:
-                kept = {name: np.asarray(array[self.parts[number]]) for name, array in self._opened.items()}
-                whole = checksum(kept) == sums[number]
+                whole = (
+                    checksum(self._of_block(number)) == sums[number]
+                    if self.done[number]
+                    else self.checksum_of_known(number) == known_sums[number]
+                )
             except Exception:  # the decoder may raise anything for damaged bytes
                 whole = False
             if not whole:
-                found.append(int(number))
+                found.append(number)
         return found
+
+    def _of_block(self, number: int) -> dict[str, np.ndarray]:
+        return {name: np.asarray(array[self.parts[number]]) for name, array in self._opened.items()}
+
+    def checksum_of_known(self, number: int) -> int:
+        """The checksum of the scenes of a block that are known from before the axes were extended."""
+        known = self._known[self.parts[number]]
+        return checksum({name: values[known] for name, values in self._of_block(number).items()})
 
     def forget(self, numbers: list[int]) -> None:
         """Marks blocks as not done, and their scenes as not known."""
@@ -230,6 +243,7 @@ def make_store(zarr, path: pathlib.Path, design: Design, chunk, variables: list[
     for name, dtype, words in (
         ("block_done", "bool", "whether the block is written"),
         ("block_checksum", "uint32", "CRC-32 of the variables of the block"),
+        ("known_checksum", "uint32", "CRC-32 of the scenes of the block that were known before the axes were extended"),
     ):
         options = {"dimension_names": ("block",), "attributes": {"long_name": words}}
         group.create_array(name, shape=(blocks,), chunks=(1,), dtype=dtype, fill_value=0, **options)
@@ -264,7 +278,12 @@ def open_group(path, mode: typing.Literal["r", "r+"] = "r"):
 def compare(path: pathlib.Path, kept: dict, wanted: dict, accept_versions: bool, *, but: str = "") -> None:
     """Refuses to continue a store of another sweep, one that differs in more than `but`, or of other versions."""
     old, new = (json.loads(a["specification"]) for a in (kept, wanted))
-    for key in new | old:
+    orders = [", ".join(what.get("axes", ())) for what in (new, old)]
+    if orders[0] != orders[1] and set(new["axes"]) == set(old["axes"]):
+        raise StoreError(f"{str(path)!r} has the axes {orders[1]}, but they are given in another order: {orders[0]}.")
+    for key in sorted(
+        new | old, key=lambda key: key == "axes"
+    ):  # another value on an axis may only follow from the rest
         if key != but and old.get(key) != new.get(key):
             raise StoreError(
                 f"{str(path)!r} holds another sweep: `{key}` is {new.get(key)!r} here and {old.get(key)!r} there."

@@ -198,6 +198,7 @@ def _check_names(design: Design, variables) -> None:
         "block",
         "block_done",
         "block_checksum",
+        "known_checksum",
         "scene_known",
         *(v.name for v in variables),
         *(d for v in variables for d in v.dims),
@@ -324,7 +325,7 @@ def open_sweep(path, *, chunks: typing.Any = None):
     group = open_group(path)
     data = xarray.open_zarr(str(path), chunks=chunks)
     done = int(np.asarray(group["block_done"][:]).sum())
-    data = data.drop_vars(["block_done", "block_checksum", "scene_known"])
+    data = data.drop_vars(["block_done", "block_checksum", "known_checksum", "scene_known"])
     for name in ("format", "block_shape"):
         data.attrs.pop(name, None)
     return data.assign_attrs(blocks_done=done, blocks=int(group["block_done"].shape[0]))

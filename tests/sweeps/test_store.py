@@ -194,11 +194,46 @@ def test_longer_axes_keep_what_is_stored(undisturbed, tmp_path, monkeypatch):
     assert sorted(computed) == sorted([*more, *old[8:16]])  # the damaged block is not trusted
     xr.testing.assert_equal(found.sel(chamber_volume=old), before)
     xr.testing.assert_equal(found.sel(chamber_volume=more), dj.sweep(SCENE, chamber_volume=more))
-    store.rename(tmp_path / "s.zarr.old")
+    store.rename(tmp_path / ".s.zarr.before_extension")
     computed.clear()
     again = dj.sweep(SCENE, chamber_volume=volumes, **given, output=store, resume=True)
     assert not computed
     xr.testing.assert_equal(again, found)
+
+
+def test_what_an_interrupted_extension_knows_is_not_trusted_if_it_is_damaged(tmp_path, monkeypatch):
+    """Stopped before the first new scene is written; then a chunk of the old ones is lost. A folder of the user's stays."""
+    from dielectric_jax.sweeps import sweeps
+
+    store, mine = tmp_path / "s.zarr", tmp_path / "s.zarr.old"
+    mine.mkdir()
+    short, long = [400.0, 1600.0, 3200.0], [400.0, 800.0, 1600.0, 3200.0 * (1 + 1e-16)]
+    whole = dj.sweep(SCENE, chamber_volume=short, initial_volume=[2.2, 2.42], output=store).load()
+    computed, compute = [], sweeps.compute_block
+
+    def stopped(job, columns):
+        raise KeyboardInterrupt
+
+    def counted(job, columns):
+        computed.extend(columns["chamber_volume"])
+        return compute(job, columns)
+
+    for damaged in (False, True):
+        monkeypatch.setattr(sweeps, "compute_block", stopped)
+        again = [*long, 5000.0 + damaged]
+        with pytest.raises(KeyboardInterrupt):
+            dj.sweep(SCENE, chamber_volume=again, initial_volume=[2.2, 2.42], output=store, resume=True)
+        if damaged:
+            (store / "snap_voltage/c/0/0/0").unlink()
+        monkeypatch.setattr(sweeps, "compute_block", counted)
+        computed.clear()
+        long = again
+        found = dj.sweep(SCENE, chamber_volume=long, initial_volume=[2.2, 2.42], output=store, resume=True).load()
+        assert len(computed) == (12 if damaged else 4)
+        xr.testing.assert_equal(found.sel(chamber_volume=short), whole)
+    assert mine.exists()
+    with pytest.raises(StoreError, match="in another order: initial_volume, chamber_volume"):
+        dj.sweep(SCENE, initial_volume=[2.2, 2.42], chamber_volume=long, output=store, resume=True)
 
 
 def test_no_store_is_refused_in_words(tmp_path):
