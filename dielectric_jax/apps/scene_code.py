@@ -10,7 +10,7 @@ import equinox as eqx
 import numpy as np
 
 from .. import model
-from ..model import ConstantVoltage, Membrane, Scene, VHBBreakdown
+from ..model import ConstantVoltage, Membrane, Scene, VHBBreakdown, Window
 
 __all__ = ["code_of"]
 
@@ -36,17 +36,20 @@ def code_of(scene: Scene, *, diagram: bool = True) -> str:
     scene = Scene(membrane, loading)
     diagram = dj.voltage_volume(scene)
     """
+    if not isinstance(scene, Scene):
+        raise ValueError(f"`scene` must be a Scene, but is a {type(scene).__name__}.")
     membrane, loading, units = scene.membrane, scene.loading, scene.units
     used: set[str] = {"Scene"}
+    window = "" if eqx.tree_equal(scene.window, Window()) else f", window={_text(scene.window, used)}"
     if units is None:
-        last = "scene = Scene(membrane, loading)"
+        last = f"scene = Scene(membrane, loading{window})"
         made = [("membrane", membrane), ("loading", loading)]
     else:
         # Scene.from_si gives the law of VHB the modulus and the permittivity of the units
         law = membrane.breakdown
         law = VHBBreakdown(law.scale) if isinstance(law, VHBBreakdown) else units.to_si(law)
         film = Membrane(membrane.material, membrane.prestretch, law)
-        last = "scene = Scene.from_si(membrane, loading, units)"
+        last = f"scene = Scene.from_si(membrane, loading, units{window})"
         made = [("membrane", film), ("loading", units.to_si(loading)), ("units", units)]
     lines = [f"{name} = {_text(value, used)}" for name, value in made] + [last]
     if diagram and isinstance(loading, ConstantVoltage):

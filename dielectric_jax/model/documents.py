@@ -241,7 +241,7 @@ def described_scene(described: dict[str, typing.Any]) -> Scene:
     own = dict(described)
     charge = own.pop("control", None) == "charge"
     held = {name: own.pop(name) for name in ("voltage", "volume") if name in own}
-    constants = {n: own.pop(n) for n, row in PARAMETERS.items() if row.path[0] == "units" and n in own}
+    constants = {n: own.pop(n) for n in Units.__dataclass_fields__ if n in own}
     scene = scene_of(own | ({"pressure": 1.0} if held else {}))
     loading = scene.loading
     for name, value in held.items():

@@ -236,6 +236,8 @@ class Branch:
         """The branch of a document of `to_json`."""
         columns = {n: np.array([_number_of(v) for v in document[n]]) for n in QUANTITIES if n != "index"}
         columns["index"] = np.array([-1 if i is None else i for i in document["index"]])
+        if len({len(column) for column in columns.values()}) != 1:
+            raise ValueError("The columns of a branch must have one length, but have several.")
         start, end = Code[document["start"]], Code[document["end"]]
         return cls(**columns, start=start, end=end, flags=tuple(document["flags"]))
 

@@ -25,7 +25,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float, Int
 
-from .codes import Code
+from .codes import Code, check_positive
 from .resolution import FIRST_TRIES, FOLD_STEPS, LEAST_GROWTH, MOST_CONTRACTION, MOST_GROWTH, NEWTON_TRIES, OWN_CODES
 
 __all__ = [
@@ -160,8 +160,10 @@ class Problem:
     lengths: typing.Any = None
 
     def __post_init__(self):
+        if not self.codes:
+            raise ValueError("`codes` must hold one code for each margin, but is empty.")
         for code in self.codes:
-            if not (isinstance(code, Code) or (isinstance(code, enum.IntEnum) and code >= OWN_CODES)):
+            if not (isinstance(code, Code) or (isinstance(code, enum.IntEnum) and OWN_CODES <= code < 2**31)):
                 raise ValueError(
                     f"`codes` must hold members of Code, or of an IntEnum with numbers from {OWN_CODES}, but holds {code!r}."
                 )
@@ -432,7 +434,7 @@ def locate_folds(problem: Problem, found: Trace, unknown: int, tolerance: float 
         unknown: k, from 0 to n − 1.
         tolerance: of the last move of Newton's method, relative and absolute in scaled unknowns.
 
-    Raises ValueError for a problem without a residual, and for a number that is no unknown's.
+    Raises ValueError for a problem without a residual, a number that is no unknown's, and a tolerance that is not positive.
 
     >>> import jax; jax.config.update("jax_enable_x64", True)
     >>> circle = Problem(lambda u, args: jnp.array([u @ u - 2.0]), scale=jnp.ones(2),
@@ -441,13 +443,16 @@ def locate_folds(problem: Problem, found: Trace, unknown: int, tolerance: float 
     >>> [(fold.point.round(12) + 0.0).tolist() for fold in folds]
     [[0.0, 1.414213562373], [0.0, -1.414213562373]]
     """
+    if found.points.ndim != 2:
+        raise ValueError("`found` must be one lane of a trace, but holds several.")
     if problem.residual is None:
         raise ValueError("`problem` must have a residual for its folds to be located, but has None.")
     count, size = int(found.count), found.points.shape[-1]
-    if not 0 <= unknown < size:
+    if not (isinstance(unknown, int) and not isinstance(unknown, bool) and 0 <= unknown < size):
         raise ValueError(f"`unknown` must be a number from 0 to {size - 1}, but is {unknown!r}.")
+    check_positive("tolerance", tolerance)
     heading = np.asarray(found.tangents)[:count, unknown]
-    after = np.flatnonzero(heading[:-1] * heading[1:] < 0)
+    after = np.flatnonzero((heading[:-1] * heading[1:] <= 0) & (heading[:-1] != 0))
     if not len(after):
         return []
     points = np.asarray(found.points / problem.scale)

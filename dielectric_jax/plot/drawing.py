@@ -87,6 +87,7 @@ _POINTS = {
     "breakdown": ("x", None, "breakdown"),
     "hoop_tension_loss": ("v", "white", "hoop tension lost"),
     "slack": ("D", "white", "slack"),
+    "mode": ("*", "white", "neutral mode"),
 }
 # event of a ramp: (marker, label)
 _EVENTS = {

@@ -546,8 +546,21 @@ def test_a_document_of_something_else_is_refused(diagram, tmp_path):
         read({n: v for n, v in document.items() if n != "branches"})
     with pytest.raises(ValueError, match="one diagram"):
         read({"diagrams": [document]})
+    with pytest.raises(ValueError, match="in SI or dimensionless, but its units are 'kV, ml, mbar'"):
+        read(dj.Units().to_document(document, read=True))
+    with pytest.raises(ValueError, match="`scene` must be a Scene, but is a int"):
+        read(document, 5)
+    lost = [{n: v for n, v in b.items() if n != "volume"} for b in document["branches"]]
+    short = [b | {"pressure": b["pressure"][:3]} for b in document["branches"]]
+    for name, broken in (("scene", 5), ("window", {}), ("branches", []), ("branches", lost), ("branches", short),
+                         ("special_points", [{}]), ("ramp", [1])):  # fmt: skip
+        with pytest.raises(ValueError, match=r"`document` must|`scene` must|columns of a branch"):
+            read(document | {name: broken})
     with pytest.raises(ValueError, match="`scene` must be given with this document: `material`"):
         read(document | {"scene": document["scene"] | {"material": "custom"}})
+    dense = dj.Scene.from_si(dj.Membrane(), dj.ConstantPressure(1500.0), dj.Units(density=960.0))
+    described = dj.model.describe(dense)
+    assert dj.model.describe(dj.model.described_scene(described)) == described
     again = read(document | {"scene": document["scene"] | {"material": "custom"}}, diagram("p=1.2").scene)
     assert again.to_json() == document
 

@@ -3,6 +3,7 @@
 import json
 import pathlib
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
@@ -63,6 +64,11 @@ def test_a_ramp_ends_where_the_membrane_loses_its_axisymmetry():
         assert ramp.area_strain_reason == reason and ramp.events[-1].reason == reason
         assert dj.regime_of(scene, modes=range(1, 25)).name == reason
         others = [p for p in asked.special_points if p.kind != "mode"]
+        ax = asked.plot(x="volume", y="voltage").axes[0]
+        stars = sum(np.size(line.get_xdata()) for line in ax.lines if line.get_marker() == "*")
+        plt.close("all")
+        # the event of the ramp's end stands in place of the mode that turns there
+        assert stars == len(asked.special_points) - len(others) - (reason == "bulges")
         assert [p.to_json() for p in others] == [p.to_json() for p in plain.special_points]
         ends = [p for p in asked.special_points if p.apex_stretch == ramp.events[-1].state.apex_stretch]
         assert {p.number for p in ends} == numbers
