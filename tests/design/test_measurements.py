@@ -187,7 +187,7 @@ def test_columns_and_units_may_be_given(tmp_path):
     file.write_text("Syringe (ml),Gauge 2 [kPa]\n" + rows("{v},{p}"))
     for columns in (("1", "2"), ("Syringe (ml)", "Gauge 2 [kPa]")):
         np.testing.assert_array_equal(dj.design.read_measurement(file, columns=columns).pressure, pressure)
-    with pytest.raises(ValueError, match="must give the height in a unit such as m, cm, mm, µm, but .* says 'ml'"):
+    with pytest.raises(ValueError, match=r"must give the height in a unit such as m, cm, mm, µm, but .* says 'ml'"):
         dj.design.read_measurement(file, columns={"height": 1, "pressure": 2})
     file.write_text("pressure 1 [kPa],pressure 2 [kPa],volume [ml]\n" + rows("7,{p},{v}"))
     found = dj.design.read_measurement(file, columns=("volume [ml]", "pressure 2 [kPa]"))
