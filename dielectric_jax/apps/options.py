@@ -595,12 +595,21 @@ def _check_files(args: argparse.Namespace) -> None:
     if getattr(args, "json", None) not in (None, "-"):
         _check_file("--json", args.json)
     if getattr(args, "csv", None) is not None:
+        if args.csv == "-":
+            raise BadInput("--csv must be the name of a file, but is '-'.")
         _check_file("--csv", args.csv)
     if getattr(args, "figure", None) is not None:
         _check_file("--figure", args.figure)
         if Path(args.figure).suffix[1:].lower() not in FIGURE_SUFFIXES:
             raise BadInput(
                 f"--figure must be a file name ending in {one_of(FIGURE_SUFFIXES)}, but is {shown(args.figure)}."
+            )
+    written = {}
+    for option in ("json", "csv", "figure"):
+        file = getattr(args, option, None)
+        if file is not None and written.setdefault(os.path.abspath(file), option) != option:
+            raise BadInput(
+                f"--{option} must name another file than --{written[os.path.abspath(file)]}, but both name {shown(file)}."
             )
 
 

@@ -81,6 +81,8 @@ BAD = [
     (["pressure-volume", "--figure", "/no/folder/figure.png"], "--figure", "folder"),
     (["pressure-volume", "--json", "/no/folder/d.json"], "--json", "folder"),
     (["pressure-volume", "--csv", "/no/folder/d.csv"], "--csv", "folder"),
+    (["pressure-volume", "--csv", "-"], "--csv", "name of a file, but is '-'"),
+    (["pressure-volume", "--csv", "d.x", "--json", "d.x"], "--csv", "another file than --json, but both name 'd.x'"),
     (["pressure-volume", "--csv", "d.csv", "--voltage", "0", "0.1"], "--csv", "one --voltage, but 2 are"),
     (["pressure-volume", "--all"], "'--all'", "--help"),
     (["pressure-volume", "--volt", "0.1"], "'--volt 0.1'", "--help"),
