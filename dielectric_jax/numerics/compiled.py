@@ -11,6 +11,7 @@ import functools
 import hashlib
 import importlib.metadata
 import inspect
+import itertools
 import os
 import pathlib
 import threading
@@ -26,7 +27,7 @@ from jax.experimental import serialize_executable
 
 from .cache import enabled_folder, is_own, make_folder, say, setting, write_own
 from .lanes import run_lanes
-from .resolution import FUSION_EMITTERS, LANES, MOST_LIVE, MOST_SHELVED, VECTOR_WIDTH
+from .resolution import FUSION_EMITTERS, LANES, MADE_TOGETHER, MOST_LIVE, MOST_SHELVED, VECTOR_WIDTH
 
 __all__ = ["cached_jit", "elementwise", "of_this_package", "source_digest"]
 
@@ -96,6 +97,7 @@ class Programs:
         self._live: collections.OrderedDict = collections.OrderedDict()
         self._shelf: collections.OrderedDict = collections.OrderedDict()
         self._lock = threading.Lock()
+        self._made = itertools.count(1)
 
     def of(self, key, make: Callable) -> Callable:
         """The program of a key, which `make()` compiles where it is neither alive nor packed."""
@@ -134,6 +136,8 @@ class Programs:
         for key, program in out:
             self._pack(key, program)
         del out
+        if next(self._made) % MADE_TOGETHER == 0:
+            _forget_traces()
         _return_memory()
 
     def _pack(self, key, program) -> None:
@@ -159,6 +163,18 @@ def _size(program) -> int:
     """The size of a program in XLA's own format, in bytes."""
     modules = program.runtime_executable().hlo_modules()
     return sum(len(module.as_serialized_hlo_module_proto()) for module in modules)
+
+
+def _forget_traces() -> None:
+    """Empties JAX's caches of traces and lowered programs, which hold up to 2048 each, 1 to 2 MB a program.
+
+    They refer weakly to the functions and equations that they know, but to results that often hold the same equations, so that those of
+    programs long gone are never freed. Programs that users have compiled stay; only tracing a function anew takes its time again.
+    """
+    with contextlib.suppress(ImportError, AttributeError):  # `jax.clear_caches` would also clear the programs of users
+        from jax._src import util
+
+        util.clear_all_caches()
 
 
 def _return_memory() -> None:

@@ -14,6 +14,8 @@ LANES = 512
 DEVICE_LANES = 32
 # bytes of live programs in XLA's own format, some forty times as much in memory; benchmarks/acceptance/memory.py
 MOST_LIVE = 20e6
+# programs that are made between two clearings of JAX's caches of traces, some 2 MB a program; benchmarks/acceptance/memory.py
+MADE_TOGETHER = 32
 # bytes of packed programs, some 0.3 MB each; beyond them the oldest are compiled again; benchmarks/acceptance/memory.py
 MOST_SHELVED = 100e6
 
