@@ -63,8 +63,8 @@ def sweep(
         scene: the scene whose parameters are varied.
         *axes: axes of several parameters.
         output: a zarr store to write block by block; the result is then read from it lazily. In memory when None.
-        resume: continue the store if it exists, with its own block size. Where the axes hold more values than the store, in any
-            order, its scenes keep their numbers and only the others are computed.
+        resume: continue the store if it exists, with its own block size. Where the axes, named in the same order, hold more values
+            than the store, its scenes keep their numbers and only the others are computed.
         accept_versions: continue a store that was begun by other versions.
         engine: "surface", or "continuation", which does not need a surface of each membrane; or an engine with variables of its
             own, such as `dj.rates.InTime`, which does not take `resolve`, `curves`, `modes` and `tolerance`.
